@@ -1,8 +1,8 @@
-"""Measure the demonstration store: import, file sizes, reading, observations for training.
+"""Measures the demonstration store: import, file sizes, reading, observations for training.
 
     python benchmarks/demos.py [SRC]
 
-SRC is a folder of published human demonstrations; without it the import is not measured.
+SRC is a folder of published human demonstrations; without it, the import is not measured.
 """
 
 import resource
@@ -25,7 +25,7 @@ from magical.tasks import TASKS
 Pixels = NDArray[np.uint8]
 Render = Callable[[int, Pixels], None]
 
-SECONDS = 3.0  # of measurement for each rate
+SECONDS = 3.0  # duration of each rate measurement
 BATCH = 64  # observations read at once, at random time steps
 
 

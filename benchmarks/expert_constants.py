@@ -1,13 +1,14 @@
-"""What each constant of the scripted experts changes.
+"""Measures the effect of each constant of the scripted experts.
 
 python benchmarks/expert_constants.py OUT.csv [--only NAME ...] [--tasks TASK ...] [--rollouts N]
 
-The numbers in the definition of every constant at the top of a file in `magical.experts` are
-multiplied by each factor, in a copy of the package, and the expert is rolled out in a few TestAll
-episodes. (Those of `noise` are left out: an expert of full skill has none.) OUT.csv has a row for
-each constant and factor: the mean score, its difference from that of the constants as they are, and
-the share of episodes in which any action is another. Repeating the command goes on where it
-stopped; a constant whose definition has changed since is measured again.
+The numbers in the definition of every public constant at the top level of a file in
+`magical.experts` are multiplied by each factor, in a copy of the package, and the expert is rolled
+out in a few TestAll episodes. (The constants of `noise` are left out: an expert with full skill
+does not use them.) OUT.csv has a row for each constant and factor: the mean score, its difference
+from the score with unchanged constants, and the fraction of episodes in which any action differs.
+Repeating the command continues where it stopped; a constant whose definition has changed since is
+measured again.
 """
 
 import argparse
@@ -27,18 +28,18 @@ from magical.progress import progress_bar
 from magical.tasks import TASKS
 
 FACTORS = (0.5, 1.5)
-FIRST_SEED = 70_000  # none of evaluation (docs/protocol.md)
+FIRST_SEED = 70_000  # these seeds are not used in evaluation (docs/protocol.md)
 PACKAGE = Path(str(magical.__file__)).parent / "experts"
 HEADER = ("file", "constant", "definition", "factor", "score", "difference", "changed")
 
 
 class Constant(NamedTuple):
-    """A constant and where its definition is."""
+    """A constant and the location of its definition."""
 
-    file: str  # in the package
+    file: str  # relative to `magical.experts`
     name: str
     definition: str
-    numbers: tuple[ast.Constant, ...]  # in the definition, by position
+    numbers: tuple[ast.Constant, ...]  # in the definition, ordered by position
 
     def scaled(self, factor: float) -> str:
         """The file's text with the constant's numbers multiplied."""
@@ -57,14 +58,15 @@ def _scale(value: Any, factor: float) -> float:
 
 
 def find_constants() -> Iterator[Constant]:
-    """Every constant of the experts with a number in its definition, by file."""
+    """Every public constant of the experts with a number in its definition, by file."""
     for path in sorted(set(PACKAGE.rglob("*.py")) - {PACKAGE / "noise.py"}):
         text = path.read_text()
         for node in ast.parse(text).body:
             if not isinstance(node, ast.Assign) or not isinstance(node.targets[0], ast.Name):
                 continue
             name, inner = node.targets[0].id, list(ast.walk(node.value))
-            computed = any(isinstance(part, ast.Name) for part in inner)  # then its integers count
+            # In computed definitions, integers are counts and are not scaled.
+            computed = any(isinstance(part, ast.Name) for part in inner)
             kinds = float if computed else (int, float)
             numbers = [
                 p for p in inner if isinstance(p, ast.Constant) and isinstance(p.value, kinds)
@@ -78,7 +80,7 @@ def find_constants() -> Iterator[Constant]:
 def roll_out(
     tasks: Sequence[str], rollouts: int, constant: Constant | None = None, factor: float = 1.0
 ) -> list[Any] | None:
-    """Score and actions of each episode in a process of its own; None where the expert fails."""
+    """Score and actions of each episode, run in a subprocess; None if the expert fails."""
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / "experts"
         shutil.copytree(PACKAGE, copy, ignore=shutil.ignore_patterns("__pycache__"))
@@ -91,7 +93,7 @@ def roll_out(
 
 
 def child(folder: str, tasks: Sequence[str], rollouts: int) -> None:
-    """Print what `roll_out` returns, with the experts in a folder in place of the package's."""
+    """Print what `roll_out` returns, using the experts in a folder instead of the package's."""
     magical.__path__.insert(0, folder)
     from magical.experts import rollout
 
@@ -101,7 +103,7 @@ def child(folder: str, tasks: Sequence[str], rollouts: int) -> None:
 
 
 def measure(out: Path, tasks: Sequence[str], rollouts: int, only: Sequence[str]) -> None:
-    """Append the rows that are missing in a table."""
+    """Append the missing rows to the table."""
     rows = list(csv.reader(out.open())) if out.exists() else [list(HEADER)]
     done = {tuple(row[:4]) for row in rows}
     wanted = [

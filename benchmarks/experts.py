@@ -1,7 +1,7 @@
-"""Figures about the scripted experts: python benchmarks/experts.py [SECTION]...
+"""Measures the scripted experts: python benchmarks/experts.py [SECTION]...
 
-Sections: speed, lengths, takeover, skill, diversity, states (default: all). Needs no files; scores
-of all environments come from `magical expert evaluate`.
+Sections: speed, lengths, takeover, skill, diversity, states (default: all). Needs no files. For
+scores in all environments, use `magical expert evaluate`.
 """
 
 import sys
@@ -31,7 +31,7 @@ def main() -> None:
 
 
 def speed() -> Iterator[str]:
-    """Expert steps per second of processor time on one core, physics included."""
+    """Expert steps per second of CPU time on one core, including physics."""
     steps, begin = 0, time.process_time()
     for task in TASKS:
         own_steps, own_begin = 0, time.process_time()
@@ -57,7 +57,7 @@ def lengths() -> Iterator[str]:
 
 
 def lasting(task: str, done: ExpertEpisode) -> int | None:
-    """The step from which on the score is 1 until the end."""
+    """The first step from which the score stays 1 until the end; `None` if there is none."""
     spec = get_task(task)
     scores = [spec.score(done.scene, Poses(poses)) for poses in done.poses]
     if scores[-1] < 1.0:
@@ -89,7 +89,7 @@ def skill() -> Iterator[str]:
 
 
 def diversity() -> Iterator[str]:
-    """Different orders and placements (to about a block) among 25 successful Demo episodes."""
+    """Distinct block orders and placements (to about a block) in 25 successful Demo episodes."""
     for task in ("MatchRegions", "MakeLine", "ClusterColour", "ClusterShape"):
         orders, placements, found, seed = set(), set(), 0, 0
         while found < 25:
@@ -107,7 +107,7 @@ def diversity() -> Iterator[str]:
 
 
 def states() -> Iterator[str]:
-    """Random states of every task: the expert answers with an action in each."""
+    """Check that the expert returns a valid action in random states of every task."""
     rng = np.random.default_rng(0)
     for task in TASKS:
         spec, memory = get_task(task), None

@@ -1,8 +1,8 @@
-"""The processor time of the first picture after an installation, when nothing is compiled yet.
+"""Measures the CPU time up to the first step after installation, when nothing is compiled yet.
 
 python benchmarks/first_picture.py [--turns N]
 
-Every turn is a fresh interpreter with an empty folder for compiled code.
+Every turn is a fresh interpreter with an empty cache of compiled code.
 """
 
 import argparse
@@ -28,7 +28,7 @@ print(*(after - before for before, after in zip(times, times[1:])))
 
 
 def turn() -> list[float]:
-    """The seconds of each part."""
+    """The seconds that each part takes in one turn."""
     with tempfile.TemporaryDirectory() as folder:
         done = subprocess.run(
             [sys.executable, "-c", PROGRAM],

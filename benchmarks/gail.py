@@ -1,10 +1,11 @@
-"""Processor time of GAIL's updates with the published code's settings, by turns in processes.
+"""Measures the CPU time of GAIL updates with the published code's settings, in subprocesses.
 
     python benchmarks/gail.py --demos DEMOS [--network narrow] [--updates 4] [--rounds 5]
 
-Ways: float32 and bfloat16, each with freed memory kept (`learning/running/allocator.py`), which is
-the default on Linux, and with glibc's own settings. Prints the median of each way over the rounds,
-and its ratio to the first. DEMOS is a dataset with ten demonstrations of FixColour in Demo.
+Compares float32 and bfloat16, each with glibc's own settings and with freed memory kept
+(`learning/running/allocator.py`), which is the default on Linux. Prints each variant's median over
+the rounds, and its ratio to the first. DEMOS is a dataset with ten demonstrations of FixColour in
+Demo.
 """
 
 import argparse
@@ -17,8 +18,8 @@ from pathlib import Path
 from statistics import median
 
 TASK = "FixColour"
-WARM_UP = 2  # updates before the first that is timed
-OWN = {"GLIBC_TUNABLES": ""}  # as if the user had chosen: nothing is set
+WARM_UP = 2  # updates before the first timed one
+OWN = {"GLIBC_TUNABLES": ""}  # counts as chosen by the user, so the package sets nothing
 WAYS = {
     f"{precision}, {name}": (precision, chosen)
     for precision in ("float32", "bfloat16")
@@ -52,7 +53,7 @@ def main() -> None:
 
 
 def measure(args: argparse.Namespace) -> float:
-    """Seconds of processor time an update, on one thread, environments included."""
+    """Seconds of CPU time per update, on one thread, including environments."""
     from magical.learning import train
     from magical.learning.algorithms.gail import GAILConfig
 

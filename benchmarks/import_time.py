@@ -1,4 +1,4 @@
-"""The processor time of `import magical` in a fresh interpreter, and how much of it is not ours.
+"""Measures the CPU time of `import magical` in a fresh interpreter, and of its dependencies.
 
 python benchmarks/import_time.py [--repeats N]
 """
@@ -12,7 +12,7 @@ SCRIPT = "import time; start = time.process_time(); import {}; print(time.proces
 
 
 def seconds(modules: str) -> float:
-    """The time of one import in an interpreter of its own."""
+    """The time of one import in a fresh interpreter."""
     command = [sys.executable, "-c", SCRIPT.format(modules)]
     return float(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
 

@@ -1,4 +1,4 @@
-r"""Speed of behavioural cloning, whole: making batches and learning from them, before and after.
+r"""Measures behavioural cloning end to end: making batches and learning from them, four ways.
 
     python benchmarks/learning.py
     python benchmarks/learning.py --precision float32
@@ -8,13 +8,13 @@ r"""Speed of behavioural cloning, whole: making batches and learning from them, 
 The ways take turns in one run:
 
 - before: the network `small`, frames resampled by PyTorch
-- compiled: the same network, frames resampled by compiled code
-- resampling: `quick`'s network, the same
+- compiled: the network `small`, frames resampled by compiled code
+- resampling: `quick`'s network, frames resampled by compiled code
 - rendering: `quick`'s network, frames rendered from a moved camera
 
-For each: processor time of making a batch and of learning from it, on one thread; the share of
-making; and samples a second, batches made by a thread ahead of time as `magical train bc` does,
-with PyTorch's own number of threads.
+For each, it prints the CPU time of making a batch and of learning from it, on one thread; the
+fraction spent on making it; and samples per second with batches prefetched by a thread, as in
+`magical train bc`, and PyTorch's default number of threads.
 """
 
 import argparse
@@ -41,7 +41,7 @@ from magical.learning.running.run import Run
 
 TASK = "MoveToCorner"
 DEMOS = 25
-BATCHES = 30  # in a round
+BATCHES = 30  # per round
 WARM_UP = 5  # batches
 RATE = 1e-3
 WAYS = {
@@ -53,7 +53,7 @@ WAYS = {
 
 
 class PyTorchData(ExpertData):
-    """Frames resampled by PyTorch."""
+    """Expert data with frames resampled by PyTorch."""
 
     def augmented(
         self,
@@ -69,7 +69,7 @@ class PyTorchData(ExpertData):
 
 
 class Setup:
-    """One way of cloning, and what has been measured of it."""
+    """One way of cloning, and its measurements."""
 
     def __init__(self, name: str, folder: Path, precision: str, batch_size: int) -> None:
         network, way = WAYS[name]
@@ -106,7 +106,7 @@ class Setup:
         self.trainer.step(batch, RATE)
 
     def measure(self, threads: int) -> None:
-        """One round of everything."""
+        """Measure one round of everything."""
         torch.set_num_threads(1)
         batch = self.make(0)
         self.making.append(seconds(lambda: self.make(1), time.process_time))
@@ -121,7 +121,7 @@ class Setup:
 
 
 def seconds(function: Callable[[], object], clock: Callable[[], float]) -> float:
-    """Of one call, on average."""
+    """The mean duration of one call."""
     for _ in range(WARM_UP):
         function()
     start = clock()

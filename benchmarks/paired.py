@@ -1,9 +1,10 @@
-"""Compares two checkouts by turns in one process, in processor time, which other work sways least.
+"""Compares the speed of two checkouts, taking turns in one process, in CPU time.
 
 python benchmarks/paired.py BEFORE [AFTER] [--task NAME] [--seconds S]
 
 BEFORE and AFTER are checkouts of this repository, AFTER by default this one. Both take the same
-actions in the same scenes, and what they simulate and observe must be equal to the last bit.
+actions in the same scenes, and their simulations and observations must be equal to the last bit.
+CPU time is least affected by other load.
 """
 
 import argparse
@@ -37,7 +38,7 @@ def main() -> None:
 
 
 def load(source: Path, task_name: str) -> dict[str, Callable[[int], Any]]:
-    """Functions from a seed to something with `step(action)`, from the package in a folder."""
+    """Functions that map a seed to an object with `step(action)`, from the package in a folder."""
     for name in [name for name in sys.modules if name.partition(".")[0] == "magical"]:
         del sys.modules[name]
     sys.path.insert(0, str(source))
@@ -68,7 +69,7 @@ def load(source: Path, task_name: str) -> dict[str, Callable[[int], Any]]:
 
 
 def compare(name: str, sides: list[Callable[[int], Any]], seconds: float) -> None:
-    """Step both sides by turns and print microseconds a step and their ratio."""
+    """Step both sides in turns, and print microseconds per step and their ratio."""
     rng = np.random.default_rng(0)
     times: list[list[float]] = []
     end = time.monotonic() + seconds
@@ -91,7 +92,7 @@ def compare(name: str, sides: list[Callable[[int], Any]], seconds: float) -> Non
 
 
 def step(side: Any, actions: list[int]) -> tuple[float, Any]:
-    """The seconds that some steps take, and what is observed at last."""
+    """The seconds that some steps take, and the last observation or state."""
     began = time.thread_time()
     for action in actions:
         result = side.step(action)

@@ -2,12 +2,12 @@
 
 python benchmarks/rendering.py [--tasks ClusterColour FixColour] [--size 96] [--repeats 3000]
 
-Microseconds, one line for each Demo scene and view. The first columns are whole calls: a frame, a
-frame rendered into a stack of four that is shifted in place, a new renderer (one an episode). The
-others are the parts of a frame: the robot on the workspace, the regions, the blocks, writing the
-pixels to the output, and Python (checks, calls). The allocentric ground is rendered once for a
-scene, the egocentric one in every frame. Every figure is the fastest of many calls, as other
-processes can only add to it; the median of whole frames is beside it.
+Prints microseconds, one line for each Demo scene and view. The first columns are whole calls: a
+frame (fastest and median), a frame rendered into a stack of four that is shifted in place, creating
+a renderer (once per episode). The others are the parts of a frame: the robot on the workspace, the
+regions, the blocks, writing the pixels to the output, and Python (checks, calls). The allocentric
+ground is rendered once per scene, the egocentric one in every frame. Except for the median, every
+figure is the fastest of many calls, as other processes can only make calls slower.
 """
 
 import argparse
@@ -28,7 +28,7 @@ COLUMNS = (
 
 
 def microseconds(call: Callable[[], object], repeats: int) -> tuple[float, float]:
-    """The fastest and the median call."""
+    """The times of the fastest and the median call."""
     times = np.empty(repeats)
     for i in range(repeats):
         start = time.perf_counter()
@@ -47,7 +47,7 @@ def compiled(scene: Scene, view: View, size: int, repeats: int) -> float:
 
 
 def measure(scene: Scene, view: View, size: int, repeats: int) -> list[float]:
-    """The columns of one line."""
+    """The values of one line, in the order of `COLUMNS`."""
     renderer = Renderer(scene, view, size)
     bodies = Poses.at_rest(scene).bodies
     stack = np.zeros((size, size, 12), np.uint8)

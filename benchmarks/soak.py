@@ -1,10 +1,11 @@
-"""Soak test: step many environments for long, and watch memory and invariants.
+"""Soak test: steps many environments for a long time, and watches memory and invariants.
 
 python benchmarks/soak.py [--steps 1000000] [--workers K] [--observation LoRes4E]
 
-Memory of all processes, open descriptors, mapped shared memory, numbers that are not finite. Exit
-status 1 if memory grew by more than 10 MB after the first 10,000 steps or anything was left behind.
-Reads /proc, so it needs Linux.
+Checks the memory of all processes, open file descriptors, shared memory mappings, that numbers are
+finite, scores within [0, 1] and robots in the workspace. The exit status is 1 if memory grew by
+more than 10 MB after the first 10,000 steps, if descriptors or mappings leaked, or if an invariant
+is violated. Reads /proc, so it needs Linux.
 """
 
 import argparse
@@ -28,11 +29,11 @@ REPORTS = 20
 
 @dataclass(frozen=True)
 class Usage:
-    """What the processes hold."""
+    """The resources that some processes hold together."""
 
-    memory: float  # MB, private to the processes, all of them together
-    descriptors: int  # of all of them together
-    shared: int  # mappings of shared memory of all of them together
+    memory: float  # MB, private to the processes
+    descriptors: int  # open file descriptors
+    shared: int  # shared memory mappings
 
 
 def usage(process_ids: list[int]) -> Usage:
@@ -76,7 +77,7 @@ def main() -> int:
 
 
 def soak(steps: int, workers: int | None, observation: str) -> tuple[Usage, Usage]:
-    """Step every task's TestAll variant; returns the usage once settled, and at the end."""
+    """Step every task's TestAll variant; returns the usage after settling and at the end."""
     ids = [str(env_id) for env_id in magical.all_env_ids() if "TestAll" in env_id]
     envs = MagicalVectorEnv(
         [ids[i % len(ids)] for i in range(NUM_ENVS)], workers=workers, observation=observation
@@ -100,7 +101,7 @@ def soak(steps: int, workers: int | None, observation: str) -> tuple[Usage, Usag
 
 
 def check(envs: MagicalVectorEnv, rewards: np.ndarray, scores: np.ndarray) -> None:
-    """Everything is finite, scores are in their range, and robots are in the workspace."""
+    """Check that everything is finite, scores are in [0, 1], and robots are in the workspace."""
     bodies, counts = envs.bodies
     used = np.arange(bodies.shape[1]) < counts[:, None]
     if not np.isfinite(bodies[used]).all() or not np.isfinite(rewards).all():

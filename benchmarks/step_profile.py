@@ -1,10 +1,10 @@
-"""Where the time of a control step goes, in microseconds for one environment.
+"""Profiles a control step by part, in microseconds per environment.
 
 python benchmarks/step_profile.py [--env ID] [--num-envs N]
 
-All sub-environments are stepped in this process. The parts are timed one after the other, each over
-all sub-environments, once a round. The lower decile is reported, as it depends least on other
-processes. The copy is that of `copy=True`.
+All sub-environments are stepped in this process. The parts are timed one after another, each over
+all sub-environments, once per round. The lowest decile is reported, as it is least affected by
+other processes. The copy is the one that `copy=True` makes.
 """
 
 import argparse
@@ -19,7 +19,7 @@ from magical.envs.vector.sub_envs import SubEnvs
 from magical.scene.actions import NUM_ACTIONS
 
 ROUNDS = 100
-WARM_UP = 50  # steps, after which robots and blocks are in contact
+WARM_UP = 50  # steps until robots and blocks are in contact
 
 
 class Profile:
@@ -65,7 +65,7 @@ def main() -> None:
 
 
 def profile_parts(envs: MagicalVectorEnv, actions: np.ndarray, profile: Profile) -> None:
-    """Take one step, part by part; an episode at its end continues."""
+    """Take one step, part by part; episodes are not reset at their end."""
     sub_envs = envs._sub_envs
     assert isinstance(sub_envs, SubEnvs)
     each = sub_envs._in_order

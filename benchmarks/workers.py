@@ -1,9 +1,9 @@
-"""Two workers of one vector environment against two independent processes, by turns.
+"""Compares a vector environment with two workers with two independent processes, in turns.
 
 python benchmarks/workers.py [--observation NAME] [--num-envs N] [--turns N]
 
-An independent process steps half of the sub-environments by itself, without workers; both step at
-the same time. Whole rates vary with other work on the machine, ratios of neighbouring turns less.
+Each independent process steps half of the sub-environments, without workers; both step at the same
+time. Absolute rates vary with other load on the machine, ratios of neighbouring turns less so.
 """
 
 import argparse
@@ -17,7 +17,7 @@ from magical.envs.vector import MagicalVectorEnv
 from magical.processes import Child, serve
 
 TASK = "magical/ClusterColour-Demo"
-STEPS = 100  # of a turn
+STEPS = 100  # per turn
 WORKERS = 2
 
 
@@ -34,7 +34,7 @@ class Stepper:
         self._env.close()
 
     def step(self) -> float:
-        """Take a turn's steps, resets included; returns sub-environments' steps a second."""
+        """Take a turn's steps, including resets; returns sub-environment steps per second."""
         count = self._env.num_envs
         actions = self._rng.integers(18, size=(STEPS, count))
         began = time.perf_counter()
@@ -44,7 +44,7 @@ class Stepper:
 
 
 def main(requests: IO[bytes], replies: IO[bytes]) -> None:
-    """The side of an independent process: a request is a turn, or what to step."""
+    """Serve in an independent process: a request is (observation, num_envs), or `None` to step."""
     steppers: list[Stepper] = []
 
     def answer(request: tuple[str, int] | None) -> float:
@@ -57,7 +57,7 @@ def main(requests: IO[bytes], replies: IO[bytes]) -> None:
 
 
 def compare(observation: str, num_envs: int, turns: int) -> None:
-    """Print the rates of both and the ratio, as medians of turns with their quartiles."""
+    """Print both median rates, and the median and quartiles of their ratio over turns."""
     together = Stepper(observation, num_envs, WORKERS)
     apart = [Child("workers", f"process {i}") for i in range(WORKERS)]
     rates = []

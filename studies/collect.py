@@ -1,24 +1,25 @@
-"""Collect what a plan's runs scored into `studies/STUDY/results/PLAN`, without weights.
+"""Collect the scores of a plan's runs in `studies/STUDY/results/PLAN`, without weights.
 
 python -m studies.collect RUNS [RUNS ...] --out studies/STUDY/results/PLAN [--plan FILE]
     [--leaderboard] [--looks N] [--dataset NAME]
 
-RUNS are results folders of `magical run`, finished or not; several hold parts of one plan. What is
-collected already stays and is not read again, so the command can be repeated while runs go on.
-Written are
+RUNS are results folders of `magical run`, finished or not; several may hold parts of one plan. Runs
+that were collected before are kept and not read again, so the command can be repeated while runs
+are in progress. It writes
 
-- `entries.json` and `scores.csv.gz`: every run's entry by its folder, and its evaluation for the
-  leaderboard where there is one, as `magical report` and `magical leaderboard` read them
-- `plan.json`: the plan's runs; versions, demonstrations, and each run's seconds or error
+- `entries.json` and `scores.csv.gz`: every run's entry, by its folder, and its evaluation for the
+  leaderboard if there is one, in the format of `magical report` and `magical leaderboard`
+- `plan.json`: the plan's runs; version, demonstrations, and each run's seconds or error
 
-What was collected of runs that are no longer the plan's stays, and counts nowhere.
+Entries of runs that are no longer in the plan are kept but do not count.
 
-With --leaderboard each run that is done is first evaluated by the leaderboard's protocol, from its
-checkpoint, into a folder `leaderboard` in its own, unless that was done before. --looks states in
-the details of newly collected entries how often test variants had been evaluated before, --dataset
+With --leaderboard, each finished run is first evaluated by the leaderboard's protocol, from its
+checkpoint, into `leaderboard` in its run folder, unless that was done before. --looks states in the
+details of newly collected entries how often test variants had been evaluated before, --dataset
 whose demonstrations a dataset of the plan holds (`human`).
 
-Runs of another version of the package than those before are refused (exit status 1).
+Runs made with a different version of the package than those collected before are refused (exit
+status 1).
 """
 
 import argparse
@@ -52,25 +53,25 @@ from magical.runs.plan import PLAN, RESULT, RUNS
 from magical.runs.sources import DEMONSTRATIONS
 from studies.plan_results import LEADERBOARD
 
-COLLECTED = "collected"  # in the plan's file: what is known of its runs
+COLLECTED = "collected"  # key in `plan.json`: what is known about the runs
 VARIED = ("tasks", "seed")  # settings in which runs of a method differ
-DIGITS = 10  # of a digest of settings, hexadecimal
+DIGITS = 10  # hexadecimal digits of a digest of settings
 
 
 @dataclass
 class Collected:
-    """What was collected of a plan.
+    """What was collected from a plan's runs.
 
     Attributes:
-        version: of the package that all runs were made with; empty before the first.
-        demonstrations: digests by task, of a dataset of the user's.
-        generated: digests by folder and task, of generated ones.
-        runs: seconds of training and evaluation, the time of the end, and the key of what it was
-            made with, by the run's folder.
+        version: the package version that all runs were made with; empty before the first run.
+        demonstrations: digests of demonstrations from a user's dataset, by task.
+        generated: digests of generated demonstrations, by folder and task.
+        runs: seconds of training and evaluation, time of completion, method, tasks, seed, and the
+            key of the run's settings, by run folder.
         failed: the error of each run that failed.
-        settings: what runs were made with but for tasks and seed, by a digest.
-        first_runs: digests of the checkpoints that runs were fine-tuned from, by their folders.
-        entries: by `runs/FOLDER` and `runs/FOLDER/leaderboard`.
+        settings: the settings of runs, except tasks and seed, by digest.
+        first_runs: digests of the checkpoints from which runs were fine-tuned, by their folders.
+        entries: entries by `runs/FOLDER` and `runs/FOLDER/leaderboard`.
     """
 
     version: str = ""
@@ -84,7 +85,7 @@ class Collected:
 
     @classmethod
     def read(cls, folder: Path) -> "Collected":
-        """What was collected before; empty for a new folder."""
+        """Read what was collected before; empty for a new folder."""
         if not (folder / PLAN).exists():
             return cls()
         found = read_json(folder / PLAN)[COLLECTED]
@@ -94,7 +95,7 @@ class Collected:
         return cls(**found, entries={k: e for k, e in entries.items() if isinstance(e, Entry)})
 
     def add(self, name: str, record: Mapping[str, Any], entry: Entry) -> None:
-        """Add a run that is done, from its final record and its entry."""
+        """Add a finished run, from its final record and its entry."""
         self.entries[f"{RUNS}/{name}"] = entry
         self.failed.pop(name, None)
         config = dict(record["settings"]["config"])
@@ -107,14 +108,14 @@ class Collected:
         self.runs[name] = {**ended, "method": entry.method, **varied, "settings": key}
 
     def record(self, name: str) -> dict[str, Any]:
-        """The final record of a run, as far as it is kept."""
+        """The final record of a run, as far as it was collected."""
         facts = dict(self.runs[name])
         settings = self.settings[facts["settings"]]
         config = {**settings["config"], **{part: facts.pop(part) for part in VARIED}}
         return {**facts, "settings": {**settings, "config": config}}
 
     def adopt(self, planned: Mapping[str, PlannedRun]) -> None:
-        """Give runs that were made before an option existed the names of the plan's."""
+        """Rename runs made before a configuration option existed to the plan's names for them."""
         earlier = {name: self.record(name) for name in self.runs.keys() - planned.keys()}
         for run in planned.values():
             if run.folder in self.runs:
@@ -127,7 +128,7 @@ class Collected:
                     self.entries[renamed] = self.entries.pop(key)
 
     def write(self, folder: Path, runs: Sequence[Mapping[str, Any]]) -> None:
-        """Write it, with the plan's runs."""
+        """Write everything, with the list of the plan's runs."""
         known = {name: value for name, value in vars(self).items() if name != "entries"}
         write_json(folder / PLAN, {"runs": runs, COLLECTED: known})
         write_collection(folder, self.entries)
@@ -140,18 +141,18 @@ def collect(
     leaderboard: bool = False,
     **stated: Any,
 ) -> Iterator[str]:
-    """Collect the plan's runs that are done; yields what is left out or missing, and why.
+    """Collect the plan's finished runs; yields what is left out or missing, and why.
 
     Args:
         sources: results folders.
         out: the folder to collect into.
         plan: the plan's file.
-        leaderboard: evaluate each run by the leaderboard's protocol first.
-        stated: `looks` and `dataset`, as `_entry` takes them.
+        leaderboard: whether to evaluate each run by the leaderboard's protocol first.
+        stated: `looks` and `dataset`, passed to `_entry`.
 
     Raises:
-        ResultsError: a source is no results folder; its runs are of another version, or learned
-            from other demonstrations, than those collected before.
+        ResultsError: a source is not a results folder, or the version, the demonstrations or the
+            checkpoints of its runs differ from those collected before.
     """
     planned = {run.folder: run for run in planned_runs(read_plan(plan))}
     collected = Collected.read(out)
@@ -183,9 +184,9 @@ def collect(
 def _collect_run(
     run: PlannedRun | None, folder: Path, collected: Collected, stated: Mapping[str, Any]
 ) -> str:
-    """Collect a run if it is done and new, and its evaluation for the leaderboard; says why not.
+    """Collect a finished run and its leaderboard evaluation, if new; returns an error or "".
 
-    If the run itself is given, it is evaluated for the leaderboard first.
+    If `run` is given, it is evaluated for the leaderboard first.
     """
     name = folder.name
     key = f"{RUNS}/{name}"
@@ -216,20 +217,20 @@ def evaluate_for_leaderboard(run: PlannedRun, folder: Path) -> None:
 
 
 def _is_same_run(run: PlannedRun, record: Mapping[str, Any]) -> bool:
-    """Whether a final record is of a run with these settings; later options have their defaults."""
+    """Whether a final record is of a run with these settings; newer options take their defaults."""
     settings = record.get("settings")
     if record.get("method") != run.method or not isinstance(settings, dict):
         return False
     try:
         config = type(run.config).from_dict(settings.get("config", {})).to_dict()
-    except (AttributeError, MagicalError, TypeError):  # another run's, or damaged
+    except (AttributeError, MagicalError, TypeError):  # another run's record, or damaged
         return False
     then, now = {**settings, "config": config}, run.settings()
     return json.dumps(then, sort_keys=True) == json.dumps(now, sort_keys=True)
 
 
 def _entry(folder: Path, version: str, looks: int | None = None, dataset: str = DATASET) -> Entry:
-    """A run's entry, with `looks` and a name for the dataset if they are stated."""
+    """A run's entry, with `looks` if stated and the dataset's name."""
     entry = read_entry(folder)
     if entry.version != version:
         raise ResultsError(f"{folder}: expected an entry made by {version}, found {entry.version}")
@@ -240,7 +241,7 @@ def _entry(folder: Path, version: str, looks: int | None = None, dataset: str = 
 
 
 def _require_same(source: Path, collected: Collected, out: Path) -> None:
-    """Note a results folder's version and demonstrations, which must be those of all others."""
+    """Note a results folder's version, demonstrations and checkpoints, which must not differ."""
     if not is_results(source):
         raise ResultsError(f"{source}: expected a results folder, found no {EXPERIMENT}")
     found = read_experiment(source)
@@ -264,7 +265,7 @@ def _require_same(source: Path, collected: Collected, out: Path) -> None:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Collect, and say what is left out and missing."""
+    """Collect, and print what is left out or missing."""
     assert __doc__
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("sources", nargs="+", type=Path, metavar="RUNS")

@@ -62,7 +62,7 @@ from tools.readme_tables import renew_page, table
 ROOT = Path(__file__).resolve().parents[1]
 BY_TASK = tuple(
     f"program-bc-{name}" for name in ("human", "perception", "training", "scripted")
-)  # plans with a table by task
+)  # plans shown as a table by task
 SECTIONS = {  # the generated parts of each study's page
     "published_tables": (
         *("runs", "counts", "tasks", "far", "agreement", "claims", "orders", "cells", "rejected"),
@@ -73,7 +73,7 @@ SECTIONS = {  # the generated parts of each study's page
     "modern_baselines": ("sequence-learners", "sequence-learners-hundred", "iq-learn"),
     "objects": ("baseline", "gaps", "object-bc-ablations-human", "leaderboard", "others"),
 }
-BESIDE = {  # plans whose methods' means stand beside methods of other plans
+BESIDE = {  # plans whose methods are compared with methods of other plans, as {plan: method}
     "sequence-learners": {"bc-human": "BC (ST)"},
     "sequence-learners-hundred": {},
     "iq-learn": {"adversarial-human": "GAIL (ST)", "bc-human": "BC (ST)"},
@@ -86,12 +86,12 @@ BESIDE = {  # plans whose methods' means stand beside methods of other plans
     "object-bc-ablations-human": {},
 }
 PICTURE = Path("published_tables", "results.png")
-BASELINE = ("object-bc (ST)", HUNDRED)  # from the same demonstrations
-EXPERT = "expert"  # folder and method of the scripted experts' entry, which is no run of a plan
+BASELINE = ("object-bc (ST)", HUNDRED)  # both learned from the same demonstrations
+EXPERT = "expert"  # folder and method of the scripted experts' entry, which is not part of a plan
 
 
 class Page:
-    """All that the page shows, from the folder `studies` of a repository."""
+    """The generated contents of the studies' pages, from a repository's folder `studies`."""
 
     def __init__(self, root: Path) -> None:
         self.root = root
@@ -121,17 +121,17 @@ class Page:
 
     @cached_property
     def counts(self) -> dict[str, Count]:
-        """Of each method that has been run."""
+        """The counts of each method that has been run."""
         return {method: count(cells) for method, cells in self.cells.items()}
 
     @property
     def panels(self) -> Mapping[str, Sequence[ComparedCell]]:
-        """The picture's: the cells of what has been run; if that is nothing, empty ones."""
+        """The picture's panels: the cells of methods with any, or empty panels for all methods."""
         return {m: c for m, c in self.cells.items() if c} or {m: [] for m in self.methods}
 
     @property
     def digest(self) -> str:
-        """Of what the picture shows."""
+        """The digest of what the picture shows."""
         shown = [
             (method, [(c.task, c.variant, f"{c.distance:.2f}") for c in cells])
             for method, cells in self.panels.items()
@@ -180,7 +180,7 @@ class Page:
         return [*names, *_count_cells(self.counts[method])]
 
     def task_table(self) -> str:
-        """Tasks by methods with the name of a published row: cells within two, mean distance."""
+        """Tasks by methods named like a published row: cells within two stds, mean distance."""
         shown = {
             m: group_by(cells, attrgetter("task"))
             for m, cells in self.cells.items()
@@ -193,7 +193,7 @@ class Page:
         return table(("Task", *shown), rows) if shown else NOTHING
 
     def far_cells(self) -> str:
-        """The cells beyond two pooled standard deviations, of each method."""
+        """The cells beyond two pooled standard deviations, by method."""
         lines = []
         for method, found in self.counts.items():
             for side, cells in (("below", found.below), ("above", found.above)):
@@ -212,7 +212,7 @@ class Page:
         return table((*header, _together_header(pairs)), (list(claim_row(*pair)) for pair in pairs))
 
     def agreement_table(self) -> str:
-        """A row for each method with the name of a published row, and part of the environments."""
+        """A row for each method named like a published row, and part of the environments."""
         header = ("Row", "On", "Tasks", "Ours", "Published", "Difference", "Verdict")
         found = find_agreements(self.rows)
         return table(header, (list(agreement_row(row)) for row in found)) if found else NOTHING
@@ -225,7 +225,7 @@ class Page:
         return table((*header, _together_header(pairs)), rows)
 
     def variant_table(self) -> str:
-        """What was not published against ours, variant by variant."""
+        """The differences that the variations make, variant by variant."""
         pairs = group_by(self._pairs(VARIATIONS, SHORT_VARIANTS), lambda pair: pair[0].claim.text)
         rows = (
             [text, *(variant_cell(*pair) for pair in of_claim)]
@@ -237,12 +237,12 @@ class Page:
     def _pairs(
         self, claims: Sequence[Claim], parts: Sequence[str] = PARTS
     ) -> list[tuple[Finding, Finding]]:
-        """Each finding by itself, and with an interval that holds for all of them together."""
+        """Each finding on its own, and with an interval that holds for all of them jointly."""
         found = find(claims, self.rows, parts), find_together(claims, self.rows, parts)
         return list(zip(*found, strict=True))
 
     def orders(self) -> str:
-        """The methods' order by part: of those with all tasks, then of all on what they share."""
+        """The methods' order by part: those with all tasks, then all methods on shared tasks."""
         named = [row for row in self.rows if row.published == row.method]
         complete = [row for row in named if self._is_complete(row)]
         groups = [complete] if len(complete) == len(named) else [complete, named]
@@ -258,7 +258,7 @@ class Page:
         return "\n\n".join(parts) or NOTHING
 
     def baseline_table(self) -> str:
-        """The object-centred learner beside BC from the same demonstrations, task by task."""
+        """The object-centred learner and BC from the same demonstrations, task by task."""
         known = {row.method: row for row in (*self.rows, *self.others)}
         rows = [known[name] for name in BASELINE if name in known]
         if len(rows) < len(BASELINE):
@@ -273,7 +273,7 @@ class Page:
         return table(("Task", *header), lines)
 
     def gap_table(self) -> str:
-        """Demo, TestAll and the gap of the published methods, and of those with all tasks."""
+        """Demo, TestAll and the gap of the published methods, and of our methods with all tasks."""
         header = ("Row", "Class", "Demonstrations", "Earlier looks", "Demo", "TestAll", "Gap")
         rows = (
             [
@@ -287,7 +287,7 @@ class Page:
         return table(header, rows)
 
     def leaderboard(self) -> str:
-        """The leaderboard of all tasks, then that of methods with a prior for the benchmark."""
+        """The leaderboard of all tasks, then the one for methods with a benchmark prior."""
         boards = [board for board in make_boards(self.ranked) if ALL_TASKS in board.name]
         return "\n\n".join(map(_standings, boards)) if boards[0].standings else NOTHING
 
@@ -296,7 +296,7 @@ class Page:
         return "\n\n".join(map(score_table, self.others)) or NOTHING
 
     def rejections(self) -> str:
-        """The entries that count nowhere, by reason."""
+        """The rejected entries, by reason."""
         lines = [
             f"- {listed_names([self._name(entry) for entry in entries])}: "
             f"{reasons.replace(f'{self.root}/', '')}"
@@ -309,13 +309,13 @@ class Page:
 
 
 def _results(root: Path, names: Sequence[str]) -> Found:
-    """What was collected of some plans, or in folders of these names."""
+    """The collected results of plans, or of other results folders, with these names."""
     folders = [path for name in names for path in root.glob(f"studies/*/results/{name}")]
     return search_results(folders) if folders else Found([])
 
 
 def _evaluations(found: Found, leaderboard: bool) -> Found:
-    """Of the leaderboard's evaluations and the others of the same policies, one kind."""
+    """Only the leaderboard evaluations, or only the other evaluations of the same policies."""
     kept = [r for r in found.results if (r.folder.name == LEADERBOARD) == leaderboard]
     return replace(found, results=kept, skipped=() if leaderboard else found.skipped)
 
@@ -346,7 +346,7 @@ def _stated(statements: Statements) -> tuple[str, str]:
 
 
 def _together_header(pairs: Sequence[tuple[Finding, Finding]]) -> str:
-    """How many findings were tested; the verdicts below are right together in 95 of 100 cases."""
+    """A column heading with the number of tested findings, whose verdicts hold jointly at 95%."""
     return f"All {sum(found.ours is not None for found, _ in pairs)} at once"
 
 
@@ -364,7 +364,7 @@ def _task_cell(cells: Sequence[ComparedCell]) -> str:
 
 
 def main(arguments: Sequence[str], root: Path = ROOT) -> int:
-    """Write, or check."""
+    """Write or check the pages and the picture."""
     page = Page(root)
     picture = root / "studies" / PICTURE
     made = page.sections()

@@ -1,4 +1,4 @@
-"""A study's plan, and what was collected of it."""
+"""A study's plan, and what was collected from its runs."""
 
 import tomllib
 from collections.abc import Collection, Mapping
@@ -13,7 +13,7 @@ from magical.runs.folder import read_json
 
 NOT_RUN = "not run"
 NOTHING = f"Nothing yet: {NOT_RUN}."
-# Of the published tables' page.
+# Plans on the page about the published tables.
 PLANS = (
     "bc-human",
     "bc-human-paper",
@@ -36,7 +36,7 @@ PLANS = (
     "object-bc",
     "object-bc-human",
 )
-# Those whose rows are on pages of their own; the leaderboard has them too.
+# Plans whose rows are on separate pages; they are also on the leaderboard.
 OTHERS = (
     *("object-bc-ablations", "object-bc-ablations-human", "bc-transformations"),
     *("sequence-learners", "sequence-learners-hundred", "iq-learn"),
@@ -44,17 +44,17 @@ OTHERS = (
     *("program-bc-human", "program-bc-perception", "program-bc-training", "program-bc-held-out"),
     *("program-bc-scripted", "program-bc-few", "object-networks-human"),
 )
-LEADERBOARD = "leaderboard"  # in a run's folder: its evaluation by the leaderboard's protocol
+LEADERBOARD = "leaderboard"  # in a run folder: the evaluation by the leaderboard's protocol
 
 
 @dataclass(frozen=True)
 class PlanResults:
-    """A study's plan, and what was collected of it."""
+    """A study's plan, and what was collected from its runs."""
 
     name: str
     study: str
-    plan: Mapping[str, Any]  # of the TOML file
-    collected: Mapping[str, Any]  # empty where nothing is
+    plan: Mapping[str, Any]  # the TOML file
+    collected: Mapping[str, Any]  # empty if nothing was collected
 
     @classmethod
     def read(cls, root: Path, name: str) -> "PlanResults":
@@ -69,13 +69,13 @@ class PlanResults:
 
     @property
     def planned(self) -> int:
-        """The number of runs."""
+        """The number of planned runs."""
         tasks, seeds = len(self.plan["tasks"]), len(self.plan["seeds"])
         groups = [1 if method.get("multi_task") else tasks for method in self.plan["methods"]]
         return sum(groups) * seeds
 
     def training_minutes(self, tasks: Collection[str]) -> dict[str, float]:
-        """Mean time of a run's training on some of these tasks, by method."""
+        """Mean training time of runs on any of these tasks, in minutes, by method."""
         runs = self.collected.get("runs", {}).values()
         runs = group_by(
             (run for run in runs if not set(tasks).isdisjoint(run["tasks"])), itemgetter("method")
@@ -84,7 +84,7 @@ class PlanResults:
         return {name: fmean(each) / 60 for name, each in seconds.items()}
 
     def row(self) -> list[str]:
-        """The plan, its runs, the hours that they took, by which version, what is missing."""
+        """The plan, its runs, hours, minutes per run, package version, and what is missing."""
         runs = self.collected.get("runs", {})
         seconds = sum(sum(run["seconds"].values()) for run in runs.values())
         failed = len(self.collected.get("failed", {}))

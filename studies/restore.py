@@ -1,14 +1,14 @@
-"""Make a results folder of what was collected, so that `magical run` does the other runs only.
+"""Make a results folder from what was collected, so that `magical run` does only the other runs.
 
 python -m studies.restore studies/STUDY/results/PLAN --out RUNS [--again SEED]
 
-RUNS is a folder that does not exist yet. The collected runs count as done in it. They have scores
-and no weights, so they can be reported and not evaluated again. Then
+RUNS is a folder that does not exist yet. In it, the collected runs count as done. They have scores
+but no weights, so they can be reported but not evaluated again. Then
 
 magical run studies/STUDY/plans/PLAN.toml --out RUNS
 
-does what is missing, of the same version of the package and from the same demonstrations, and
-`studies/collect.py` collects it. With --again the runs of a seed are left out and so done again,
+does the missing runs, with the same version of the package and the same demonstrations, and
+`studies/collect.py` collects them. With --again, the runs of a seed are left out and so done again,
 for their weights (`studies/weights.py`).
 """
 
@@ -27,10 +27,10 @@ from studies.collect import Collected
 
 
 def restore(source: Path, out: Path, again: int | None = None) -> int:
-    """Make the results folder; returns the number of runs that are done in it.
+    """Make the results folder; returns the number of finished runs in it.
 
     Args:
-        source: what was collected of a plan.
+        source: the folder with what was collected from a plan's runs.
         out: the results folder to make.
         again: the training seed whose runs are left out.
 
@@ -63,7 +63,7 @@ def restore(source: Path, out: Path, again: int | None = None) -> int:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Restore, and say how many runs are done."""
+    """Restore, and print how many runs are done."""
     assert __doc__
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter

@@ -14,11 +14,11 @@ from studies.published_tables.claims import Finding, order, verdict
 from studies.published_tables.rows import MethodRuns
 from tools.readme_tables import table
 
-MAX_LISTED = 5  # entries with the same reason that are listed by name
+MAX_LISTED = 5  # names in a list; the rest are counted
 
 
 def claim_row(finding: Finding, together: Finding) -> Iterator[str]:
-    """A claim, its intervals and verdict, and the verdict if all claims are to be right at once."""
+    """A claim, its intervals and verdict, and the verdict when all claims are tested jointly."""
     claim, ours = finding.claim, finding.ours
     yield f"{claim.text}: {claim.formula}"
     yield finding.part
@@ -29,7 +29,7 @@ def claim_row(finding: Finding, together: Finding) -> Iterator[str]:
 
 
 def variation_row(finding: Finding, together: Finding) -> Iterator[str]:
-    """A change, the difference that it makes, and what that shows, alone and with all others."""
+    """A change, the difference that it makes, and the verdicts, alone and jointly."""
     verdicts = {"holds": "raises", "the opposite holds": "lowers"}
     yield finding.claim.text
     yield finding.claim.formula
@@ -50,7 +50,7 @@ def agreement_row(agreement: Agreement) -> Iterator[str]:
 
 
 def variant_cell(finding: Finding, together: Finding) -> str:
-    """The difference over its interval; bold where 0 is outside that of all cells together."""
+    """The difference above its interval; bold if 0 is outside the joint interval of all cells."""
     ours = finding.ours
     if ours is None:
         return ""
@@ -65,7 +65,7 @@ def task_names(tasks: Sequence[str]) -> str:
 
 
 def order_table(rows: Sequence[MethodRuns], part: str) -> str:
-    """A table of methods in the order of our means; empty for fewer than two."""
+    """A table of methods, ordered by our means; empty for fewer than two."""
     tasks, places = order(rows, part)
     if len(places) < 2:
         return ""

@@ -1,15 +1,15 @@
-"""Pack the weights of one seed of a plan's runs, so that others can verify what was collected.
+"""Pack the weights of a plan's runs of one seed, so that others can verify the collected scores.
 
 python -m studies.weights pack RUNS --results studies/STUDY/results/PLAN --out FILE.zip [--seed 0]
 python -m studies.weights unpack FILE.zip --results studies/STUDY/results/PLAN --out DIR
 
-`pack` takes the runs of a results folder of `magical run` whose scores are those that were
-collected, rollout by rollout, and refuses others: their weights are not what was scored. Of each
-run it keeps the policy's weights, the configuration and the collected entry. The archive's name and
-SHA-256 digest are written to `weights.json` beside the collected scores.
+`pack` takes runs from a results folder of `magical run`. Their scores must equal the collected
+ones, rollout by rollout; otherwise the weights are not those that were scored, and it fails. Of
+each run it keeps the policy's weights, the configuration, `run.json` and the collected entry. The
+archive's name and SHA-256 digest are written to `weights.json`, next to the collected scores.
 
-`unpack` makes run folders of an archive with that digest. `magical verify DIR/RUN` runs a sample of
-a run's rollouts again.
+`unpack` makes run folders from an archive with that digest. `magical verify DIR/RUN` runs a sample
+of a run's rollouts again.
 """
 
 import argparse
@@ -28,21 +28,21 @@ from magical.runs.folder import CHECKPOINT, CONFIG, RECORD, read_json, write_jso
 from magical.runs.plan import RUNS
 from studies.collect import Collected
 
-WEIGHTS = "weights.json"  # in the folder of what was collected
+WEIGHTS = "weights.json"  # in the folder of collected results
 DATE = (1980, 1, 1, 0, 0, 0)  # of all files in an archive: the same weights give the same bytes
 
 
 def pack(source: Path, results: Path, out: Path, seed: int = 0) -> list[str]:
-    """Pack the runs of a seed into one archive, and state its digest; returns their folders.
+    """Pack the runs of a seed into one archive, and record its digest; returns the runs' names.
 
     Args:
         source: a results folder of `magical run`.
-        results: what was collected of the plan.
+        results: the folder with what was collected from the plan's runs.
         out: the archive to write.
         seed: the training seed.
 
     Raises:
-        ResultsError: no run of the seed was collected; a run is missing in `source`, or its scores
+        ResultsError: no run of the seed was collected, a run is missing in `source`, or its scores
             are not the collected ones.
         CheckpointError: a run has no intact checkpoint.
     """
@@ -71,10 +71,10 @@ def pack(source: Path, results: Path, out: Path, seed: int = 0) -> list[str]:
 
 
 def unpack(archive: Path, results: Path, out: Path) -> list[str]:
-    """Make run folders of an archive that has the stated digest; returns their names.
+    """Make run folders from an archive that has the recorded digest; returns their names.
 
     Raises:
-        ResultsError: no weights of the plan were packed, the archive is another one, or `out`
+        ResultsError: no weights of the plan were packed, the archive has another digest, or `out`
             exists.
     """
     if not (results / WEIGHTS).exists():
@@ -102,13 +102,13 @@ def _require_scores(folder: Path, entry: Entry) -> None:
 
 
 def _files(folder: Path, entry: Entry) -> Iterator[tuple[str, bytes]]:
-    """A run's files that an archive keeps: weights without what only training needs."""
+    """The files of a run to archive; the checkpoint without what only training needs."""
     with tempfile.TemporaryDirectory() as temporary:
         out = Path(temporary)
         state = load_newest_checkpoint(folder)
         save_checkpoint(out / CHECKPOINT, {name: state[name] for name in ("step", "policy")})
         config = read_json(folder / CONFIG)
-        if "demos" in config:  # where they were on that machine
+        if "demos" in config:  # a path on the training machine
             config["demos"] = Path(config["demos"]).name
         write_json(out / CONFIG, config)
         write_json(out / RECORD, read_json(folder / RECORD))
@@ -118,7 +118,7 @@ def _files(folder: Path, entry: Entry) -> Iterator[tuple[str, bytes]]:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Pack or unpack, and say what."""
+    """Pack or unpack, and print the number of runs."""
     assert __doc__
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter

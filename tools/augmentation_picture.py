@@ -1,7 +1,7 @@
-"""Writes three pictures of augmentations to docs/images.
+"""Write three pictures of augmentations to docs/images.
 
-- augmentations.png: a frame, and what each augmentation makes of it
-- augment-by.png: the same augmentation of one frame, resampled and rendered
+- augmentations.png: each augmentation of a frame
+- augment-by.png: the same augmentation of three frames, resampled and rendered
 - transformations.png: each transformation of three frames
 
 python tools/augmentation_picture.py
@@ -31,13 +31,13 @@ TILE, GAP, LABEL = 144, 8, 110  # pixels
 
 
 def rows() -> dict[str, Augmentations]:
-    """What is shown: nothing, each alone, all."""
+    """The augmentations shown: none, each one alone, all."""
     alone = {name: parse_augmentations(name) for name in NAMES}
     return {"original": SETS["none"], **alone, "all": SETS["all"]}
 
 
 def augmentations() -> Image.Image:
-    """Each augmentation by itself, and all together."""
+    """Each augmentation alone, and all together."""
     env = gymnasium.make("magical/MatchRegions-Demo-LoRes4E-v0")
     stack, _ = env.reset(seed=0)
     images = torch.from_numpy(np.tile(stack.transpose(2, 0, 1), (SAMPLES, 1, 1, 1)))
@@ -47,7 +47,7 @@ def augmentations() -> Image.Image:
 
 
 def ways() -> Image.Image:
-    """The same random numbers, resampled and rendered; noise would only hide the difference."""
+    """Resampled and rendered with the same random numbers; without noise, to show differences."""
     pairs = [("MatchRegions", demonstrate("magical/MatchRegions-Demo-v0", seed=0))]
     arguments = pairs, ["MatchRegions"], PRESETS["LoRes4E"]
     resampled, rendered = ExpertData(*arguments), RenderedExpertData(*arguments)
@@ -64,7 +64,7 @@ def ways() -> Image.Image:
 
 
 def transformations() -> Image.Image:
-    """Each transformation of pictures by itself; `frames` cannot be seen in the newest one."""
+    """Each transformation alone; not `frames`, which cannot be seen in the newest frame."""
     pairs = [("MatchRegions", demonstrate("magical/MatchRegions-Demo-v0", seed=0))]
     data = RenderedExpertData(pairs, ["MatchRegions"], PRESETS["LoRes4E"])
     count, yes = len(CHOSEN), np.ones(len(CHOSEN), bool)
@@ -83,7 +83,7 @@ def transformations() -> Image.Image:
 
 
 def table(shown: dict[str, torch.Tensor], tile: int) -> Image.Image:
-    """The newest frames of stacks (B, C, H, W), a row for each name."""
+    """The newest frames of stacks (B, C, H, W), with a row for each name."""
     columns = len(next(iter(shown.values())))
     size = (LABEL + columns * (tile + GAP), len(shown) * (tile + GAP))
     picture = Image.new("RGB", size, "white")
@@ -99,7 +99,7 @@ def table(shown: dict[str, torch.Tensor], tile: int) -> Image.Image:
 
 
 def main() -> None:
-    """Make the pictures."""
+    """Write the pictures."""
     IMAGES.mkdir(parents=True, exist_ok=True)
     for name, make in (
         ("augmentations", augmentations),

@@ -1,4 +1,4 @@
-"""Hold every Python file to 400 lines and every function to 50 lines.
+"""Check that no Python file exceeds 400 lines and no function 50 lines.
 
 python tools/check_sizes.py src tests
 """
@@ -29,7 +29,7 @@ def complaints(path: Path) -> Iterator[str]:
 
 
 def main(folders: list[str]) -> int:
-    """Print every complaint; 1 if there is any."""
+    """Print every complaint; returns 1 if there are any."""
     files = sorted(path for folder in folders for path in Path(folder).rglob("*.py"))
     found = [line for path in files for line in complaints(path)]
     print(*found, sep="\n", end="\n" if found else "")

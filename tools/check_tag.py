@@ -1,8 +1,8 @@
-"""Check that a tag, the version of the package and the newest entry of the changelog agree.
+"""Check that a tag, the package's version and the newest changelog entry agree.
 
     python tools/check_tag.py v1.0.0
 
-The changelog's entry must have a date, and nothing may be unreleased.
+The changelog entry must have a date, and there may be no unreleased changes.
 """
 
 import re
@@ -18,7 +18,7 @@ DATE = re.compile(r"\d{4}-\d{2}-\d{2}")
 
 
 def disagreements(tag: str, version: str, changelog: str) -> list[str]:
-    """What is wrong, in words; nothing if a release may be made."""
+    """What is wrong, in words; empty if the release may be made."""
     found = []
     if tag != f"v{version}":
         found.append(
@@ -34,7 +34,7 @@ def disagreements(tag: str, version: str, changelog: str) -> list[str]:
 
 
 def main(tag: str = "") -> int:
-    """Print what is wrong; 1 if anything is."""
+    """Print what is wrong; returns 1 if anything is."""
     changelog = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     found = disagreements(tag, magical.__version__, changelog)
     if UNRELEASED.search(changelog):

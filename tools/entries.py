@@ -1,12 +1,12 @@
-"""Validate entries submitted to the leaderboard, each a folder with `submission.json`.
+"""Validate entries submitted to the leaderboard; each is a folder with a `submission.json`.
 
     python -m tools.entries [--entries FOLDER] [NAME ...]
     python -m tools.entries NAME --describe runs/0=policy.py:POLICY [...]
 
-An entry is refused, with the reason, if a file is missing or has another SHA-256 sum than it
-states, if it does not keep the protocol, or if a sample of its rollouts, run again, contradicts
-its scores. This runs the entry's code: only where that can do no harm. With --describe its
-`submission.json` is written instead.
+An entry is refused, with the reason, if a file is missing, undescribed or does not have the stated
+SHA-256 sum, if the entry does not follow the protocol, or if a sample of its rollouts, run again,
+contradicts its scores. This runs the entry's code: do it only where that can do no harm. With
+--describe, the entry's `submission.json` is written instead.
 """
 
 import argparse
@@ -27,7 +27,7 @@ from magical.untrusted import read_json
 
 ROOT = Path(__file__).resolve().parents[1]
 SUBMISSION = "submission.json"
-README = "README.md"  # may lie in an entry's folder, undescribed
+README = "README.md"  # may be in an entry's folder without being described
 
 
 class SubmissionError(MagicalError, ValueError):
@@ -36,11 +36,11 @@ class SubmissionError(MagicalError, ValueError):
 
 @dataclass(frozen=True)
 class Submission:
-    """What `submission.json` holds.
+    """The contents of `submission.json`.
 
     Args:
-        policies: what acts, by the run's folder: `file.py:NAME` of a file in the entry's folder;
-            empty for the policy of a run folder that lies there.
+        policies: the policy of each run, by the run's path in the entry's folder: `file.py:NAME`
+            with a file in the entry's folder, or empty for the run's own policy.
         files: the SHA-256 sum of every other file, by its path in the entry's folder.
     """
 
@@ -52,8 +52,8 @@ def reasons(folder: Path, others: Sequence[Path] = ()) -> list[str]:
     """Why an entry is refused; empty if it is accepted.
 
     Args:
-        folder: the entry's.
-        others: folders of the entries that it stands beside.
+        folder: the entry's folder.
+        others: the folders of the other entries.
     """
     try:
         submission = read_json(folder / SUBMISSION, Submission, SubmissionError)
@@ -101,7 +101,7 @@ def _protocol_faults(folder: Path, submission: Submission, others: Sequence[Path
 
 
 def _ours_last(found: Found, folder: Path) -> Found:
-    """The same entries; of two that contradict each other, the one submitted is refused."""
+    """The same entries, with those in `folder` last: if two conflict, the latter is refused."""
     ordered = sorted(found.results, key=lambda result: folder in result.folder.parents)
     return Found(ordered, found.skipped)
 
@@ -110,7 +110,7 @@ def _contradictions(folder: Path, submission: Submission) -> Iterator[str]:
     for run, policy in submission.policies.items():
         named = ["--policy", f"{folder / policy}"] if policy else []
         command = [sys.executable, "-m", "magical", "verify", str(folder / run), *named]
-        with tempfile.TemporaryDirectory() as cache:  # no bytecode of the entry's own is run
+        with tempfile.TemporaryDirectory() as cache:  # so that no submitted bytecode is run
             done = subprocess.run(
                 command,
                 env={**os.environ, "PYTHONPYCACHEPREFIX": cache},
@@ -132,7 +132,7 @@ def describe(folder: Path, policies: Mapping[str, str]) -> None:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Validate, or describe; 1 if an entry is refused."""
+    """Validate or describe entries; returns 1 if one is refused."""
     parser = argparse.ArgumentParser(prog="python -m tools.entries", description=__doc__)
     parser.add_argument("names", nargs="*", metavar="NAME", help="of an entry (default: all)")
     parser.add_argument("--entries", type=Path, default=ROOT / "entries", metavar="FOLDER")

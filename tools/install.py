@@ -1,8 +1,8 @@
-"""Install this project, editable, with some extras, into the environment that runs this file.
+"""Install this project in editable mode, with extras, into the environment that runs this file.
 
     python tools/install.py dev,report
 
-Every version comes from constraints.txt, the build backend's too.
+All versions come from constraints.txt, including the build backend's.
 """
 
 import subprocess

@@ -1,4 +1,4 @@
-"""Every setting of an algorithm by preset, beside what the appendix states, as a table."""
+"""A table of an algorithm's settings by preset, with the appendix's values."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any
@@ -60,7 +60,7 @@ SOURCES = {
 
 
 def appendix(kind: type[Config]) -> dict[str, Any]:
-    """What the appendix states for an algorithm, by field; nothing for those that it lacks."""
+    """The values that the appendix states for an algorithm, by field; empty if it has none."""
     if kind.algorithm not in SOURCES:
         return {}
     merged: dict[str, Any] = {}
@@ -70,7 +70,7 @@ def appendix(kind: type[Config]) -> dict[str, Any]:
 
 
 def settings(kind: type[Config]) -> str:
-    """A row for each setting, a column for each preset; what differs from `paper` is bold."""
+    """A row for each optional setting, a column for each preset; differences from `paper` bold."""
     stated = appendix(kind)
     header = ["Setting", *(f"`{name}`" for name in columns(kind))]
     header += ["Appendix"] if stated else []

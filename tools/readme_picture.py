@@ -1,4 +1,4 @@
-"""Make the README's animation: every task's TestAll, solved by its scripted expert.
+"""Make the README's animation: every task's TestAll variant, solved by the scripted expert.
 
 python tools/readme_picture.py
 """
@@ -14,12 +14,12 @@ from magical.demos.store.reader import Frames
 from magical.scene import View
 
 OUT = Path(__file__).resolve().parents[1] / "docs" / "images" / "tasks.webp"
-SIZE, GAP, CAPTION, COLUMNS = 176, 8, 22, 4  # pixels, and tiles in a row
-FRAMES, MILLISECONDS, LAST = 48, 110, 1500  # every rollout is shown in as many frames
+SIZE, GAP, CAPTION, COLUMNS = 176, 8, 22, 4  # pixels; tiles per row
+FRAMES, MILLISECONDS, LAST = 48, 110, 1500  # frames per rollout; per frame and last frame, ms
 
 
 def rollout(task: str) -> list[Image.Image]:
-    """Frames from the first state to the last, by the fixed camera."""
+    """Frames from the first state to the last, in the allocentric view."""
     trajectory = demonstrate(f"magical/{task}-TestAll-v0", list(magical.TASKS).index(task))
     steps = np.linspace(0, len(trajectory), FRAMES).round().astype(int)
     frames = Frames(trajectory, View.ALLO, SIZE).take([int(step) for step in steps])
@@ -27,7 +27,7 @@ def rollout(task: str) -> list[Image.Image]:
 
 
 def main() -> None:
-    """Make and write."""
+    """Make and write the animation."""
     step, tall = SIZE + GAP, SIZE + CAPTION
     rows = -(-len(magical.TASKS) // COLUMNS)
     sheets = [Image.new("RGB", (COLUMNS * step - GAP, rows * tall), "white") for _ in range(FRAMES)]

@@ -1,8 +1,8 @@
-"""Write the generated tables of pages, between their `<!-- name -->` and `<!-- end -->` marks.
+"""Write the generated tables of pages, between their `<!-- name -->` and `<!-- end -->` markers.
 
 python tools/readme_tables.py [--check]
 
-With --check nothing is written; the exit status is 1 if a page is out of date.
+With --check, nothing is written; the exit status is 1 if a page is out of date.
 """
 
 import sys
@@ -20,19 +20,19 @@ from magical.tasks.programs.suite import SUITE, task_name
 
 ROOT = Path(__file__).resolve().parents[1]
 WRAP = TextWrapper(84, initial_indent="    ", subsequent_indent="      ")
-PAPER = "BC (ST)"  # the published row that ours stand beside
-# Shown whatever their rank: cloning, and the best from human demonstrations.
+PAPER = "BC (ST)"  # the published row shown for comparison
+# Shown regardless of rank: behavioural cloning, and the best method from human demonstrations.
 SHOWN = ("BC (ST)", "BC (MT)", "program-bc (ST), human")
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """A table in Markdown."""
+    """A Markdown table."""
     lines = [header, ["---"] * len(header), *rows]
     return "\n".join(f"| {' | '.join(map(str, line))} |" for line in lines)
 
 
 def presets() -> str:
-    """One row an observation preset."""
+    """One row per observation preset."""
     return table(
         ("Preset", "Observation"), ((f"`{name}`", describe(p)) for name, p in PRESETS.items())
     )
@@ -48,9 +48,9 @@ def describe(preset: PixelSpec) -> str:
 
 
 def results() -> str:
-    """Mean scores over all tasks: the expert, the best entries, `SHOWN`, the paper's.
+    """Mean scores over all tasks: the expert, the best entries, `SHOWN`, and the paper's BC.
 
-    The best entries are those of rank 1, with a prior made for the benchmark and without.
+    The best entries are those of rank 1, with and without a prior made for the benchmark.
     """
     boards = make_leaderboard([ROOT / "studies"]).boards
     standings = [row for board in boards if ALL_TASKS in board.name for row in board.standings]
@@ -76,7 +76,7 @@ def results() -> str:
 
 
 def programs() -> str:
-    """The programs of seven of the paper's tasks and three of the suite, with instructions."""
+    """The programs of seven of the paper's tasks and three suite tasks, with instructions."""
     tasks = [task for task in TASKS.values() if task.section and task.name != "ClusterShape"]
     tasks += [get_task(task_name(number)) for number in SUITE[:3]]
     lines = ["```text"]
@@ -94,7 +94,7 @@ PAGES: Mapping[Path, Mapping[str, Callable[[], str]]] = {
 
 
 def renew(text: str, page: Path, tables: Mapping[str, Callable[[], str]]) -> str:
-    """A page's text with every table made anew."""
+    """A page's text with every table regenerated."""
     for name, make in tables.items():
         before, found, rest = text.partition(f"<!-- {name} -->\n")
         _, closed, after = rest.partition("<!-- end -->")
@@ -107,7 +107,7 @@ def renew(text: str, page: Path, tables: Mapping[str, Callable[[], str]]) -> str
 def renew_page(
     arguments: Sequence[str], page: Path, tables: Mapping[str, Callable[[], str]]
 ) -> int:
-    """Write a page's tables, or with --check compare them; 1 if they are out of date."""
+    """Write a page's tables, or compare them with --check; returns 1 if they are out of date."""
     old = page.read_text(encoding="utf-8")
     new = renew(old, page, tables)
     if "--check" in arguments:
@@ -117,7 +117,7 @@ def renew_page(
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Write or compare the tables of all pages."""
+    """Write or compare the tables of all pages; returns 1 if any are out of date."""
     return max(renew_page(arguments, page, tables) for page, tables in PAGES.items())
 
 

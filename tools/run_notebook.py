@@ -1,9 +1,9 @@
-"""Run a notebook's code cells in order and write their outputs into it; needs no Jupyter.
+"""Run a notebook's code cells in order and store their outputs in it; does not need Jupyter.
 
     python -m tools.run_notebook examples/tutorial.ipynb
 
-An output is what a cell prints to standard output, then the value of its last expression: images of
-Pillow as PNG, anything else as text.
+The outputs are what a cell prints to standard output, then the value of its last expression: Pillow
+images as PNG, anything else as text.
 """
 
 import ast
@@ -26,7 +26,7 @@ def read_notebook(path: Path) -> dict[str, Any]:
 
 
 def run_notebook(notebook: Mapping[str, Any]) -> None:
-    """Run the code cells in one namespace; their outputs are replaced in place."""
+    """Run the code cells in one namespace, replacing their outputs in place."""
     names: dict[str, Any] = {"__name__": "__main__"}
     code_cells = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
     for number, cell in enumerate(code_cells, 1):
@@ -38,7 +38,7 @@ def run_notebook(notebook: Mapping[str, Any]) -> None:
 
 
 def run_cell(source: str, name: str, names: dict[str, Any]) -> Any:
-    """Execute a cell's code; returns the value of its last line if that is an expression."""
+    """Execute a cell's code; returns the value of its last statement if that is an expression."""
     module = ast.parse(source, name)
     last = module.body[-1] if module.body else None
     if not isinstance(last, ast.Expr):

@@ -32,7 +32,7 @@ def register_envs() -> None:
     )
 
 
-# What code for the published package imports, and what to use instead.
+# Names that code for the published package imports, and what to use instead.
 _REPLACED = {
     "saved_trajectories": "magical.demos.Dataset, or `magical demos import` for published files",
     "load_demos": "magical.demos.Dataset, or `magical demos import` for published files",

@@ -1,8 +1,8 @@
 """The `magical` command.
 
 A command is a file in `magical/commands/` with `HELP`, `configure(parser)` and `run(args)`; the
-file's name is the command's. Commands are listed in alphabetical order. Exit status: 0 good, 1 a
-check failed or an error was met, 2 wrong usage, 130 interrupted.
+file's name is the command's. Commands are listed in alphabetical order. Exit status: 0 for success,
+1 for a failed check or an error, 2 for wrong usage, 130 for an interruption.
 """
 
 import argparse
@@ -27,7 +27,7 @@ from magical.plugins import import_user_module
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit status; errors go to standard error."""
-    if isinstance(sys.stdout, io.TextIOWrapper):  # a name of a file may be of any bytes
+    if isinstance(sys.stdout, io.TextIOWrapper):  # a file name may contain any bytes
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
         arguments = build_parser().parse_args(_import_modules(argv))
@@ -45,7 +45,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except ModuleNotFoundError as error:
         try:
             return _report(missing(error.name or ""), FAILED)
-        except LookupError:  # no optional library, so a bug
+        except LookupError:  # not an optional library, so a bug
             raise error from None
     except (MagicalError, OSError) as error:
         return _report(error, FAILED)
@@ -57,7 +57,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 @contextmanager
 def _termination_as_interrupt() -> Iterator[None]:
-    """SIGTERM raises `KeyboardInterrupt`, as Ctrl-C does, where nothing else handles it."""
+    """SIGTERM raises `KeyboardInterrupt`, as Ctrl-C does, unless something else handles it."""
     ours = (
         threading.current_thread() is threading.main_thread()  # only it may set handlers
         and signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
@@ -88,23 +88,23 @@ def build_parser() -> argparse.ArgumentParser:
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser that takes options by their whole names alone, as do those of its commands."""
+    """A parser that accepts no abbreviated options; its commands' parsers are of this class too."""
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(allow_abbrev=False, **settings)
 
 
 class _PublishedOption(argparse.Action):
-    """The one option of the published package, whose `python -m magical` let a person play."""
+    """The only option of the published package, whose `python -m magical` was for playing."""
 
     def __call__(self, parser: argparse.ArgumentParser, *args: Any, **kwargs: Any) -> NoReturn:
         parser.error("--env-name is of the published package; use `magical play --env ID`")
 
 
 def _import_modules(argv: Sequence[str] | None) -> list[str]:
-    """Import what `--import` names, wherever it stands, and return the other arguments.
+    """Import what `--import` names, anywhere in the arguments, and return the other arguments.
 
-    It comes first because a module may bring tasks and algorithms that are choices of the others.
+    This comes first because a module may register tasks and algorithms that the others can name.
     """
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     _add_import(parser)

@@ -6,7 +6,7 @@ class MagicalError(Exception):
 
 
 class UnknownNameError(MagicalError, ValueError):
-    """A task, variant, preset, view, shape or colour that does not exist."""
+    """An unknown name, such as that of a task, variant, preset, view, shape or colour."""
 
 
 class InvalidSceneError(MagicalError, ValueError):
@@ -18,7 +18,7 @@ class PlacementError(MagicalError, RuntimeError):
 
 
 class ObservationError(MagicalError, ValueError):
-    """An observation of another shape, type or kind than its use requires."""
+    """An observation whose shape, type or kind differs from what its use requires."""
 
 
 class InvalidActionError(MagicalError, ValueError):
@@ -42,7 +42,7 @@ class InvalidTaskError(MagicalError, ValueError):
 
 
 class InvalidProgramError(MagicalError, ValueError):
-    """An expression of the goal language that is mistyped, or that no episode can have as goal."""
+    """An expression of the goal language that is mistyped or cannot be the goal of any episode."""
 
 
 class PolicyError(MagicalError, ValueError):
@@ -50,7 +50,7 @@ class PolicyError(MagicalError, ValueError):
 
 
 class PluginError(MagicalError, ImportError):
-    """What another distribution or `module:NAME` offers cannot be imported, or has another type."""
+    """A plug-in or `module:NAME` that cannot be imported or has the wrong type."""
 
 
 class NoExpertError(MagicalError, LookupError):
@@ -66,15 +66,15 @@ class TrajectoryError(MagicalError, ValueError):
 
 
 class DatasetError(MagicalError, RuntimeError):
-    """A file of a dataset that is missing or damaged, or that cannot be written."""
+    """A dataset file that is missing or damaged, or that cannot be written."""
 
 
 class UnsafeFileError(MagicalError, ValueError):
-    """A pickle that holds anything but the plain data of a published demonstration."""
+    """A pickle that holds anything other than the plain data of a published demonstration."""
 
 
 class DownloadError(MagicalError, RuntimeError):
-    """A file that could not be fetched, or is not the one that was published."""
+    """A file that could not be fetched, or that differs from the published one."""
 
 
 class MismatchedSpacesError(MagicalError, ValueError):
@@ -86,11 +86,11 @@ class ClosedEnvironmentError(MagicalError, RuntimeError):
 
 
 class WorkerDiedError(MagicalError, RuntimeError):
-    """A worker process ended by itself or was killed; a vector environment is then closed."""
+    """A worker process exited or was killed; a vector environment is then closed."""
 
 
 class WorkerError(MagicalError, RuntimeError):
-    """A worker's exception of a class that cannot be rebuilt; its traceback is the cause."""
+    """A worker's exception whose class cannot be rebuilt; its traceback is the cause."""
 
 
 class WorkerTimeoutError(MagicalError, TimeoutError):
@@ -98,11 +98,11 @@ class WorkerTimeoutError(MagicalError, TimeoutError):
 
 
 class AlreadyPendingCallError(MagicalError, RuntimeError):
-    """A vector environment was called while another call of it was in progress."""
+    """A vector environment was called while another call to it was in progress."""
 
 
 class ForkedEnvironmentError(MagicalError, RuntimeError):
-    """A vector environment was used in a fork of the process that made it."""
+    """A vector environment was used in a fork of the process that created it."""
 
 
 class NotPicklableError(MagicalError, TypeError):
@@ -122,7 +122,7 @@ class DependencyVersionError(MagicalError, ImportError):
 
 
 class InvalidConfigError(MagicalError, ValueError):
-    """A configuration with values that cannot be, or of another algorithm."""
+    """A configuration with invalid values, or for another algorithm."""
 
 
 class PlanError(MagicalError, ValueError):
@@ -130,7 +130,7 @@ class PlanError(MagicalError, ValueError):
 
 
 class ResultsError(MagicalError, RuntimeError):
-    """A results folder that is in use, of another plan or version, damaged, or without space."""
+    """A results folder that is in use, of another plan or version, damaged, or out of space."""
 
 
 class ClusterError(MagicalError, ConnectionError):
@@ -138,19 +138,19 @@ class ClusterError(MagicalError, ConnectionError):
 
 
 class SiteError(MagicalError, RuntimeError):
-    """A folder that a site cannot be written to, since it holds other files."""
+    """A folder that a site cannot be written to because it holds other files."""
 
 
 class RunFolderError(MagicalError, RuntimeError):
-    """A run folder that is in use, missing, damaged or cannot be written to."""
+    """A run folder that is in use, missing or damaged, or that cannot be written to."""
 
 
 class CheckpointError(MagicalError, ValueError):
-    """A checkpoint that is missing, damaged or of another network."""
+    """A checkpoint that is missing, damaged or for another network."""
 
 
 class DemonstrationsError(MagicalError, ValueError):
-    """Demonstrations that cannot be learned from: too few, or of another task or observation."""
+    """Demonstrations that cannot be learned from: too few, or for another task or observation."""
 
 
 class DivergedError(MagicalError, ArithmeticError):
@@ -158,7 +158,7 @@ class DivergedError(MagicalError, ArithmeticError):
 
 
 class DeviceError(MagicalError, RuntimeError):
-    """A device that is not available."""
+    """A device that is unknown, not available, or out of memory."""
 
 
 class MessageError(MagicalError, ValueError):
@@ -166,11 +166,11 @@ class MessageError(MagicalError, ValueError):
 
 
 class NotFoundError(MagicalError, LookupError):
-    """Something that a web page asks for and that the server does not have, or not any more."""
+    """Something that a web page asks for and that the server does not have, or no longer has."""
 
 
 class BusyError(MagicalError, RuntimeError):
-    """A server that has too many requests to answer already."""
+    """A server that already has too many requests to answer."""
 
 
 class ServerFullError(MagicalError, RuntimeError):

@@ -53,7 +53,7 @@ def library(name: str, user: str) -> Any:
     """Import a library that is in no extra of this package.
 
     Args:
-        name: of the module and of its distribution.
+        name: the name of the module and of its distribution.
         user: what needs it, for the message.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Items in groups."""
+"""Grouping items."""
 
 from collections.abc import Callable, Hashable, Iterable
 from typing import TypeVar
@@ -8,7 +8,7 @@ K = TypeVar("K", bound=Hashable)
 
 
 def group_by(items: Iterable[T], key: Callable[[T], K]) -> dict[K, list[T]]:
-    """Lists of the items by their key; keys and items stay in the order in which they come."""
+    """Group items into lists by their keys; keys and items keep the order in which they come."""
     groups: dict[K, list[T]] = {}
     for item in items:
         groups.setdefault(key(item), []).append(item)

@@ -1,4 +1,4 @@
-"""Values in messages: short and printable, whatever a file or a message from outside held."""
+"""Values in messages: short and printable, whatever a file or a message from outside holds."""
 
 from itertools import islice
 from typing import Any
@@ -15,9 +15,9 @@ _CONTAINERS = (list, tuple, set, frozenset, dict)
 def quoted(value: Any, limit: int = MAX_LENGTH) -> str:
     """A value as text for a message.
 
-    Strings and numbers are written as Python does, containers with their first items, and anything
+    Strings and numbers are written as in Python, containers with their first items, and anything
     else as the name of its type. Containers within containers are not entered, so the cost is
-    bounded for any value. Control characters and others that cannot be printed are escaped.
+    bounded for any value. Control characters and other unprintable ones are escaped.
 
     Args:
         value: any object.
@@ -47,7 +47,7 @@ def quoted(value: Any, limit: int = MAX_LENGTH) -> str:
 
 
 def printable(text: str, limit: int = MAX_LENGTH) -> str:
-    """A text without quotes around it, cut, and with what cannot be printed escaped."""
+    """Text without quotes around it, cut to `limit`, with unprintable characters escaped."""
     return _cut("".join(c if c.isprintable() else ascii(c)[1:-1] for c in text[: limit + 1]), limit)
 
 

@@ -1,11 +1,11 @@
-"""Tasks, observations, networks, perceptions, algorithms, experts, policies: ours and others'.
+"""Tasks, observations, networks, perceptions, algorithms, experts, policies: built-in or plug-ins.
 
-Another distribution offers one by an entry point, for instance
+Another distribution offers one through an entry point, for instance
 
     [project.entry-points."magical.algorithms"]
     my-bc = "my_package.bc:ALGORITHM"
 
-and anything that can be imported is named by `module:NAME` or `file.py:NAME`.
+and anything that can be imported can be named as `module:NAME` or `file.py:NAME`.
 """
 
 import importlib
@@ -30,20 +30,20 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-_imported_files: dict[Path, tuple[int, ModuleType]] = {}  # on the user's word; when written
+_imported_files: dict[Path, tuple[int, ModuleType]] = {}  # at the user's request: mtime_ns, module
 
 
 @dataclass(frozen=True, slots=True)
 class Registry(Generic[T]):
-    """Named things of one kind: a file of this package each, entry points, and `module:NAME`.
+    """Named objects of one kind: built-in ones, entry points, and `module:NAME`.
 
     Attributes:
         noun: what they are, for messages, such as `algorithm`.
         kind: their type; a protocol must be `runtime_checkable`.
         group: the group of the entry points, such as `magical.algorithms`.
-        package: the package with a file for each of ours; the file's name is the thing's (`_` for
-            `-`), and files whose names begin with `_` are helpers.
-        attribute: what is taken from each file; the module itself where it is empty.
+        package: the package with one file for each built-in object, named after it (with `_` for
+            `-`); files whose names begin with `_` are helpers.
+        attribute: the attribute to take from each file; if empty, the module itself.
     """
 
     noun: str
@@ -53,15 +53,15 @@ class Registry(Generic[T]):
     attribute: str = ""
 
     def names(self) -> list[str]:
-        """Ours and those of entry points, alphabetically; none of them is imported."""
+        """The built-in names and those of entry points, alphabetically; nothing is imported."""
         return sorted({*_files(self.package), *plugins(self.group)})
 
     def get(self, name: str) -> T:
-        """The thing of a name, or that `module:NAME` stands for.
+        """The object with a name, or the one that `module:NAME` refers to.
 
         Raises:
-            UnknownNameError: there is none of this name; the message lists the names.
-            PluginError: it cannot be imported, or is something else.
+            UnknownNameError: there is none with this name; the message lists the names.
+            PluginError: it cannot be imported, or has the wrong type.
         """
         if name in (files := _files(self.package)):
             module = importlib.import_module(f"{self.package}.{files[name]}")
@@ -82,7 +82,7 @@ class Registry(Generic[T]):
 
 @cache
 def _files(package: str) -> Mapping[str, str]:
-    """The names of the things of a package, and their files'."""
+    """The names of the objects in a package, and those of their files."""
     path = importlib.import_module(package).__path__
     files = (entry.name for entry in pkgutil.iter_modules(path))
     return MappingProxyType(
@@ -95,14 +95,14 @@ def plugins(group: str) -> "Mapping[str, list[EntryPoint]]":
     """What other distributions offer in a group of entry points, by name; none is imported."""
     if not _any_offered():
         return MappingProxyType({})
-    from importlib.metadata import entry_points  # tens of milliseconds, seldom needed
+    from importlib.metadata import entry_points  # takes tens of milliseconds and is seldom needed
 
     return MappingProxyType(group_by(entry_points(group=group), attrgetter("name")))
 
 
 @cache
 def distributions() -> Mapping[str, str]:
-    """Names and versions of the installed distributions that offer anything here."""
+    """Names and versions of the installed distributions with entry points for this package."""
     if not _any_offered():
         return MappingProxyType({})
     from importlib import metadata
@@ -127,10 +127,11 @@ def is_plugin(group: str, name: str) -> bool:
 
 
 def load_plugin(group: str, name: str) -> Any:
-    """Import what an entry point or `module:NAME` stands for.
+    """Import what an entry point or `module:NAME` refers to.
 
     Raises:
-        PluginError: it cannot be imported, or two distributions offer something of this name.
+        PluginError: it cannot be imported, or two distributions offer different objects under this
+            name.
     """
     if ":" in name:
         return load_reference(name)
@@ -151,7 +152,7 @@ def load_plugin(group: str, name: str) -> Any:
 
 
 def load_reference(reference: str) -> Any:
-    """What `module:NAME` or `path/to/file.py:NAME` stands for.
+    """What `module:NAME` or `path/to/file.py:NAME` refers to.
 
     Raises:
         PluginError: the module cannot be imported, or has no such name.
@@ -167,8 +168,8 @@ def load_reference(reference: str) -> Any:
 def import_user_module(name: str) -> ModuleType:
     """Import a user's module by its name or by the path of its file.
 
-    The working folder, or a file's own, is searched last, and for a module only if it is found
-    nowhere else, so that nothing in it takes a library's place.
+    The working directory, or a file's own folder, is searched last, and for a module only if it is
+    found nowhere else, so that nothing there shadows a library.
 
     Raises:
         PluginError: it cannot be imported.
@@ -197,7 +198,7 @@ def _import_file(path: Path) -> ModuleType:
         return known[1]
     _search_last(path.resolve().parent)
     module = importlib.util.module_from_spec(spec)
-    if known:  # by its name, pickle finds what is in the file now
+    if known:  # so that pickle finds the present contents of the file by its name
         _forget(path.stem, known[1])
     sys.modules.setdefault(path.stem, module)
     try:
@@ -220,18 +221,18 @@ def _search_last(folder: Path) -> None:
 
 
 def require_known_module(name: str, what: str) -> None:
-    """Check that what a file names may be imported on its word.
+    """Check that what a file names may be imported.
 
-    Entry points may, and `module:NAME` of a package that is installed, or of which the user has
-    imported something, and `path/to/file.py:NAME` of a file that the user has imported. Others may
-    have come with the file.
+    Allowed are entry points, `module:NAME` if its package is installed or the user has imported
+    something from it, and `path/to/file.py:NAME` if the user has imported that file. Other code may
+    have come with the file that names it.
 
     Args:
-        name: of a thing of any kind.
-        what: names the file in the message.
+        name: the name of a plug-in of any kind.
+        what: what the message calls the file.
 
     Raises:
-        PluginError: it may not.
+        PluginError: it must not be imported.
     """
     module, colon, _ = name.rpartition(":")
     package = module.partition(".")[0]
@@ -248,7 +249,7 @@ def require_known_module(name: str, what: str) -> None:
 
 
 def _is_installed(package: str) -> bool:
-    """Whether a package outside the standard library and the working folder is importable."""
+    """Whether a package outside the standard library and working directory is importable."""
     if not package.isidentifier() or package in sys.stdlib_module_names:
         return False
     here = Path.cwd()

@@ -8,13 +8,13 @@ from typing import Self
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-LINE_INTERVAL = 30.0  # s between lines where standard error is no terminal
+LINE_INTERVAL = 30.0  # seconds between lines if standard error is not a terminal
 
 
 class ProgressBar:
     """A bar with a count, the time left and, in `update`, metrics.
 
-    Without a terminal there is a line every `LINE_INTERVAL` seconds instead, and one at the last
+    Without a terminal, a line is printed every `LINE_INTERVAL` seconds instead, and one at the last
     `update`.
     """
 
@@ -43,7 +43,7 @@ class ProgressBar:
         self._progress.stop()
 
     def advance(self, count: int = 1) -> None:
-        """Count more of what the bar counts."""
+        """Advance the bar by `count`."""
         self._progress.advance(self._task, count)
         self._print_line("")
 
@@ -62,7 +62,7 @@ class ProgressBar:
 
 
 def print_line(console: Console, line: str) -> None:
-    """Print a line as it is, however long."""
+    """Print a line unchanged, however long."""
     console.print(line, highlight=False, markup=False, soft_wrap=True)
 
 

@@ -1,17 +1,17 @@
-"""Data that comes from outside, checked once, where it enters: the one reader of JSON and TOML.
+"""Data from outside, checked once, where it enters: the only reader of JSON and TOML.
 
-A file or a message may hold anything: no text, numbers of a million digits, data nested so deeply
-that hashing, comparing or printing it overflows the stack. The functions here turn it into a record
-of a given type, or raise the caller's error with a message of bounded length that names the file
-(or what else the data came in), the offending field, what was expected and what was found:
+A file or a message may hold anything: binary data, numbers of a million digits, data nested so
+deeply that hashing, comparing or printing it overflows the stack. The functions here turn it into a
+record of a given type, or raise the caller's error with a message of bounded length that names the
+file (or other source of the data), the offending field, what was expected and what was found:
 
     plan.toml: methods[2].tasks: expected array, found 'MoveToCorner'
 
 The type is a frozen dataclass, a `msgspec.Struct`, a union of tagged structs, a list or dict of
-such, or `dict[str, Any]`. Ranges and lengths are written in its fields
-(`Annotated[int, msgspec.Meta(ge=0, le=100)]`); what a type cannot say, `__post_init__` checks, and
-its `ValueError` is reported with the field's name in front. A field that the type does not have is
-refused, an integer is accepted as a float, and nothing else is converted.
+these, or `dict[str, Any]`. Ranges and lengths are declared in its fields
+(`Annotated[int, msgspec.Meta(ge=0, le=100)]`); `__post_init__` checks what a type cannot express,
+and its `ValueError` is reported with the field's name in front. A field that the type does not have
+is refused, an integer is accepted as a float, and nothing else is converted.
 
 - `parse_json`: from the text or bytes of a message.
 - `read_json`, `read_toml`, `read_json_lines`: from a regular file of bounded size.
@@ -41,7 +41,7 @@ MAX_TOML_BYTES = 1 << 16
 MAX_TOML_LINE = 1000  # characters: time and memory grow with the square of a dotted key's length
 
 T = TypeVar("T")
-Kind = type[T] | UnionType  # of a union, `T` is what the result is assigned to
+Kind = type[T] | UnionType  # for a union, `T` is what the result is assigned to
 
 
 def parse_json(data: bytes | str, kind: Kind[T], what: str, error: type[MagicalError]) -> T:
@@ -50,8 +50,8 @@ def parse_json(data: bytes | str, kind: Kind[T], what: str, error: type[MagicalE
     Args:
         data: the text; the caller has bounded its length.
         kind: the record's type, as described above.
-        what: what the data came in, a file's path for instance; messages begin with it.
-        error: what is raised.
+        what: the source of the data, for instance a file's path; messages begin with it.
+        error: the class of the error to raise.
 
     Raises:
         MagicalError: of the class `error`; the data are not UTF-8 or not JSON, are nested too
@@ -74,7 +74,7 @@ def read_json(
     Args:
         path: the file.
         kind: the record's type, as described above.
-        error: what is raised.
+        error: the class of the error to raise.
         max_bytes: the largest size that is read.
 
     Raises:
@@ -100,7 +100,7 @@ def read_toml(path: Path, kind: Kind[T], error: type[MagicalError]) -> T:
 
 
 def read_json_lines(path: Path, kind: Kind[T], error: type[MagicalError]) -> Iterator[T]:
-    """Records from a file of one JSON object a line, in order.
+    """Records from a file with one JSON object per line, in order.
 
     A last line without a newline, which a crash has cut off, is left out. Arguments and errors as
     in `read_json`; a message names the line, and `MAX_BYTES` bounds each line.
@@ -170,12 +170,12 @@ def _check_fields(plain: Any, record: Any, path: str) -> None:
                 f"{path}: expected the fields {', '.join(known)}, found {quoted(name)}"
             )
         made = known.get(name)
-        if made is not item:  # `Any` is taken over as it is, and holds no records
+        if made is not item:  # `Any` is kept unchanged, and holds no records
             _check_fields(item, made, f"{path}.{printable(name)}")
 
 
 def _fields(record: Any) -> dict[str, Any]:
-    """The fields of a record by their names in files, the tag's included, or a dict itself."""
+    """The fields of a record by their names in files, including the tag's, or a dict itself."""
     if isinstance(record, Mapping):
         return {str(name): value for name, value in record.items()}
     if isinstance(record, msgspec.Struct):

@@ -2,7 +2,7 @@
 
 python -m tools.site [--out FOLDER]
 
-A broken link, anchor or reference fails, and is named by file and line.
+Fails on broken links, anchors and references, and prints the file and line of each.
 """
 
 import argparse
@@ -24,7 +24,7 @@ from tools.site.staging import Source, assets, place, repository_pages
 ROOT = Path(__file__).resolve().parents[2]
 ENTRIES = ("studies", "entries")  # folders with evaluated runs
 NOTEBOOK = "examples/tutorial.ipynb"
-WORK = ROOT / "build"  # what is made on the way, and pictures for the next time
+WORK = ROOT / "build"  # intermediate files, and cached pictures
 ELSEWHERE = re.compile(
     r'<(?:script|img|source|iframe)\b[^>]*\bsrc(?:set)?="https?:[^"]*"'
     r'|<link\b[^>]*\bhref="https?:[^"]*"'
@@ -36,19 +36,19 @@ FOUND = (
 
 
 class Warnings(logging.Handler):
-    """Keeps the warnings of a build."""
+    """Collects the warnings of a build."""
 
     def __init__(self) -> None:
         super().__init__(logging.WARNING)
         self.messages: list[str] = []
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Keep one."""
+        """Collect one warning."""
         self.messages.append(record.getMessage())
 
 
 def navigation(outline: Sequence[Any], pages: Sequence[str], named: set[str]) -> Iterator[Any]:
-    """The outline of `mkdocs.yml`, where `folder/*` stands for the pages there not named in it."""
+    """The outline of `mkdocs.yml`, with `folder/*` expanded to that folder's unlisted pages."""
     for item in outline:
         if isinstance(item, dict):
             ((title, inner),) = item.items()
@@ -71,7 +71,7 @@ def _named(outline: Sequence[Any]) -> Iterator[str]:
 
 
 def build_site(out: Path) -> list[str]:
-    """Build the site; returns what is wrong, each with file and line."""
+    """Build the site; returns the problems, each with file and line."""
     ranked = make_leaderboard([ROOT / name for name in ENTRIES])
     generated = {
         **assets(ROOT),
@@ -102,14 +102,14 @@ def build_site(out: Path) -> list[str]:
 
 
 def loaded_from_elsewhere(site: Path) -> Iterator[str]:
-    """The pages that load something from another host, which none may."""
+    """Problems of pages that load something from another host, which is not allowed."""
     for page in sorted(site.rglob("*.html")):
         for found in ELSEWHERE.findall(page.read_text(encoding="utf-8")):
             yield f"{page.relative_to(site)}: loads from another host: {found}"
 
 
 def located(source: Source, message: str) -> str:
-    """A warning of MkDocs with the file and the line that it is about."""
+    """A MkDocs warning with the file and line that it is about."""
     for pattern in FOUND:
         if found := pattern.search(message):
             return f"{source.locate(found['page'], found['link'])}: {message}"
@@ -117,7 +117,7 @@ def located(source: Source, message: str) -> str:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Build; 1 if anything is wrong."""
+    """Build the site; returns 1 if anything is wrong."""
     parser = argparse.ArgumentParser(prog="python -m tools.site", description=__doc__)
     parser.add_argument("--out", type=Path, default=ROOT / "site", metavar="FOLDER")
     problems = build_site(parser.parse_args(argv).out.resolve())

@@ -35,10 +35,10 @@ NOTE = (
 
 @dataclass(frozen=True)
 class Row:
-    """A method's scores in one task."""
+    """A method's scores on one task."""
 
     method: str
-    scores: Mapping[str, str]  # by short variant, as text
+    scores: Mapping[str, str]  # by short variant name, as text
 
     def cells(self, variants: Sequence[str]) -> list[str]:
         """The row of a table."""
@@ -46,7 +46,7 @@ class Row:
 
 
 def pages(root: Path, cache: Path, ranked: Leaderboard) -> dict[str, str | bytes]:
-    """Every page and picture, by its place in the site."""
+    """Every page and picture, by its path in the site."""
     folder = previews(root, cache)
     standings = {board.name: board.standings for board in ranked.boards}
     made: dict[str, str | bytes] = {f"{FOLDER}/index.md": index()}
@@ -69,7 +69,7 @@ def pages(root: Path, cache: Path, ranked: Leaderboard) -> dict[str, str | bytes
 
 
 def navigation() -> list[dict[str, object]]:
-    """The pages as MkDocs' navigation: an overview, then a section for each task."""
+    """The pages' navigation for MkDocs: an overview, then a section for each task."""
     sections: list[dict[str, object]] = [{"Overview": f"{FOLDER}/index.md"}]
     for task in TASKS.values():
         inner = [{short_variant(v): f"{FOLDER}/{task.name}/{v}.md"} for v in task.variants]
@@ -78,7 +78,7 @@ def navigation() -> list[dict[str, object]]:
 
 
 def previews(root: Path, cache: Path) -> Path:
-    """The folder with the pictures of every environment, made if the code has changed."""
+    """The folder with the pictures of every environment, made again if the code has changed."""
     folder = cache / digest_of(*(root / "src/magical" / room for room in ROOMS))[:16]
     if not (folder / "complete").exists():
         folder.mkdir(parents=True, exist_ok=True)
@@ -96,7 +96,7 @@ def _keep(preview: EnvPreview, folder: Path) -> None:
 
 
 def index() -> str:
-    """All tasks, their pictures and variants."""
+    """The overview: all tasks, their pictures and variants."""
     count = sum(len(task.variants) for task in TASKS.values())
     cards = "\n".join(
         f'<a href="{task.name}/index.html">{picture(f"{task.name}/Demo", task.summary)}'
@@ -124,7 +124,7 @@ def _marks(task: Task) -> Iterator[str]:
 
 
 def task_page(task: Task, rows: Sequence[Row]) -> str:
-    """What to do, how it is scored, what each variant changes, scores."""
+    """A task's page: what to do, the score rule, what each variant changes, scores."""
     description = describe_task(task)
     varies = table(
         ("Variant", "Changes"),
@@ -147,7 +147,7 @@ def task_page(task: Task, rows: Sequence[Row]) -> str:
 
 
 def environment_page(task: Task, variant: str, rows: Sequence[Row], kept: str) -> str:
-    """The expert's rollout, what varies, score, horizon, scores."""
+    """An environment's page: the expert's rollout, what varies, horizon, score rule, scores."""
     name = f"{task.name}-{variant}"
     scene, score = kept.split("\n")
     changes = describe_changes(task, variant)
@@ -186,7 +186,7 @@ def prose(paragraphs: Sequence[Paragraph]) -> str:
 
 
 def picture(name: str, text: str) -> str:
-    """An animation, still for readers who prefer no motion."""
+    """An animation, or a still for readers who prefer reduced motion."""
     return (
         f'<picture class="scene"><source srcset="{name}{STILL}" '
         f'media="(prefers-reduced-motion: reduce)"><img src="{name}{MOVING}" alt="{text}" '

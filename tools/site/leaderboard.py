@@ -9,12 +9,12 @@ from magical.report.scores.summaries import interval_text
 from magical.runs.sources import CLASSES, SOURCES
 from tools.readme_tables import table
 
-NO_BREAK = "\u00a0"  # a space that holds a figure together
+NO_BREAK = "\u00a0"  # a no-break space, to keep figures on one line
 HEADER = ("Rank", "Method", "TestAll", "Gap", "Class", "Used", "Demonstrations", "Over")
 
 
 def pages(board: Leaderboard) -> dict[str, str | bytes]:
-    """The page, by its place in the site."""
+    """The page, by its path in the site."""
     return {"leaderboard.md": "\n\n".join(_parts(board)) + "\n"}
 
 

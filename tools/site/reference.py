@@ -1,4 +1,4 @@
-"""Generated reference: the API, commands, configurations, errors, examples, the notebook."""
+"""Generates the reference: API, commands, configurations, errors, examples, the notebook."""
 
 import argparse
 import base64
@@ -15,8 +15,8 @@ from magical.learning import Config, algorithm_names, find_algorithm
 from magical.learning.config import options
 from tools import preset_tables, readme_tables
 
-# What has a page: modules with their public names (`__all__`, or without one all that have no
-# underscore), and a class.
+# Modules and a class that have a page. A module's page has its public names: `__all__`, or without
+# it all names that do not begin with an underscore.
 MODULES = {
     "magical": "Registered environments and tasks",
     "magical.envs": "Environment ids and registration",
@@ -44,7 +44,7 @@ WIDTH = "80"  # columns of a command's help
 
 
 def pages(root: Path) -> dict[str, str | bytes]:
-    """Every page, by its place in the site."""
+    """Every page, by its path in the site."""
     return {
         "api/index.md": api_index(),
         **{f"api/{name}.md": api_page(name) for name in MODULES},
@@ -57,7 +57,7 @@ def pages(root: Path) -> dict[str, str | bytes]:
 
 
 def api_index() -> str:
-    """The modules with a page."""
+    """The index of the modules that have a page."""
     rows = ((f"[`{name}`]({name}.md)", what) for name, what in MODULES.items())
     return (
         "# API\n\nFrom the docstrings. Names that are neither here nor in the other pages are not "
@@ -72,7 +72,7 @@ def api_page(name: str) -> str:
 
 
 def error_page() -> str:
-    """Every class of error, what it means and what else it is."""
+    """Every error class, its other base classes and its meaning."""
     kinds = [
         kind
         for _, kind in inspect.getmembers(errors, inspect.isclass)
@@ -96,7 +96,7 @@ def error_page() -> str:
 
 
 def command_pages() -> dict[str, str]:
-    """A page for each command, with its own help and that of its subcommands."""
+    """A page for each command, with its help and that of its subcommands."""
     rows = ((f"[`magical {name}`]({name}.md)", module.HELP) for name, module in cli.find_commands())
     made = {
         "commands/index.md": (
@@ -127,7 +127,7 @@ def _helps(name: str, parser: argparse.ArgumentParser, level: int) -> Iterator[s
 
 
 def configuration_pages() -> dict[str, str]:
-    """A page for each algorithm: every setting, by preset, beside the appendix's value."""
+    """A page for each algorithm: settings by preset, with the appendix's values and meanings."""
     kinds = [find_algorithm(name).config for name in algorithm_names()]
     rows = ((f"[`{kind.algorithm}`]({kind.algorithm}.md)", _summary(kind)) for kind in kinds)
     made = {
@@ -152,7 +152,7 @@ def configuration_pages() -> dict[str, str]:
 
 
 def _summary(kind: type[Config]) -> str:
-    """The first paragraph of an algorithm's module."""
+    """The first paragraph of the docstring of an algorithm's module."""
     return (inspect.getdoc(inspect.getmodule(kind)) or "").split("\n\n")[0].replace("\n", " ")
 
 
@@ -167,10 +167,10 @@ def example_pages(root: Path) -> dict[str, str]:
 
 
 def notebook_pages(path: Path) -> dict[str, str | bytes]:
-    """A notebook as a page with its stored outputs; pictures beside it."""
+    """A notebook as a page with its stored outputs; pictures are separate files."""
     notebook: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
     place = f"examples/{path.stem}"
-    repository = os.environ.get("GITHUB_REPOSITORY")  # where the site is built for a repository
+    repository = os.environ.get("GITHUB_REPOSITORY")  # set when a GitHub workflow builds the site
     colab = f"{COLAB}/{repository}/blob/main/{place}.ipynb"
     text = [f"[Open in Colab]({colab})"] if repository else []
     pictures: dict[str, bytes] = {}

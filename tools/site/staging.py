@@ -1,7 +1,7 @@
 """The site's source: pages of the repository and generated ones in one folder, links rewritten.
 
-A page keeps its place in the repository, but for `docs/`, whose files stand at the root. A line of
-a page stays a line, so that what MkDocs finds wrong can be told by file and line.
+A page keeps its path in the repository, except in `docs/`, whose files move to the root. Lines of a
+page stay lines, so that what MkDocs reports can be located by file and line.
 """
 
 import posixpath
@@ -23,9 +23,9 @@ PYTHON, NOTEBOOK, PAGE = ".py", ".ipynb", ".md"
 
 
 def place(path: str) -> str:
-    """Where a file of the repository stands in the site's source.
+    """The path of a repository file in the site's source.
 
-    Python files and notebooks of `examples` become pages.
+    Python files and notebooks in `examples` become pages; `README.md` becomes the index.
     """
     if path == "README.md":
         return "index.md"
@@ -40,19 +40,19 @@ class Source:
     """The folder that MkDocs reads, and what has been put there.
 
     Args:
-        root: of the repository.
-        folder: made anew.
+        root: the repository's root.
+        folder: the source folder, which `write` replaces.
     """
 
     root: Path
     folder: Path
-    generated: Mapping[str, str | bytes]  # by their place in the site's source
-    converted: Mapping[str, str]  # generated pages with links of a file: place -> that file's path
-    origins: dict[str, str] = field(default_factory=dict)  # place -> path in the repository
+    generated: Mapping[str, str | bytes]  # by path in the site's source
+    converted: Mapping[str, str]  # pages generated from a file with links -> that file's path
+    origins: dict[str, str] = field(default_factory=dict)  # site path -> repository path
     problems: list[str] = field(default_factory=list)  # each with file and line
 
     def write(self, pages: list[str]) -> None:
-        """Write these pages of the repository, what they link to, and what is generated."""
+        """Write these pages of the repository, files they link to, and generated pages."""
         shutil.rmtree(self.folder, ignore_errors=True)
         for name, content in self.generated.items():
             self._put(name, content if isinstance(content, bytes) else content.encode())
@@ -65,7 +65,7 @@ class Source:
             self._put(place(path), "".join(self._rewritten(path, text)).encode())
 
     def _rewritten(self, path: str, text: str) -> Iterator[str]:
-        """The lines of a page, with links as the site has them."""
+        """The lines of a page, with links rewritten for the site."""
         in_code = False
         for number, line in enumerate(text.splitlines(keepends=True), 1):
             if CODE.match(line):
@@ -76,7 +76,7 @@ class Source:
             yield LINK.sub(partial(self._link, path, f"{path}:{number}"), line)
 
     def _link(self, path: str, at: str, found: re.Match[str]) -> str:
-        """A link's target as the site has it; what it leads to is copied there."""
+        """A link's target in the site; a linked file that is not a page is copied there."""
         target = found[1]
         if target.startswith(ELSEWHERE):
             return target
@@ -95,7 +95,7 @@ class Source:
         target.write_bytes(content)
 
     def locate(self, page: str, text: str) -> str:
-        """File and line in the repository of a text in a page of the site's source."""
+        """The file and line in the repository of a text in a page of the site's source."""
         origin = self.origins.get(page)
         shown = origin or f"{page} (generated)"
         lines = (self.folder / page).read_text(encoding="utf-8").splitlines()
@@ -104,13 +104,13 @@ class Source:
 
 
 def repository_pages(root: Path) -> list[str]:
-    """The pages of the repository that the site has, as paths with slashes."""
+    """The repository's pages that are part of the site, as POSIX paths."""
     found = [*root.glob("docs/**/*.md"), *root.glob("studies/**/*.md")]
     return sorted([*(path.relative_to(root).as_posix() for path in found), *SINGLE])
 
 
 def assets(root: Path) -> Mapping[str, bytes]:
-    """Files of `docs` that are no pages: pictures, styles, scripts."""
+    """The files in `docs` that are not pages: pictures, styles, scripts."""
     folder = root / "docs"
     return {
         path.relative_to(folder).as_posix(): path.read_bytes()

@@ -1,4 +1,4 @@
-"""A page of the suite of generated tasks: pictures, instructions, programs, the expert's scores."""
+"""A page about the suite of generated tasks: pictures, instructions, programs, expert scores."""
 
 import csv
 import io
@@ -21,7 +21,7 @@ HEADER = ("Demo", "Task", "Instruction and program", "Expert, Demo", "Expert, Te
 
 
 def pages(root: Path) -> dict[str, str | bytes]:
-    """The page and the pictures, by their place in the site."""
+    """The page and the pictures, by path in the site."""
     with (root / EXPERT).open() as file:
         scores = {int(row["number"]): row for row in csv.DictReader(file)}
     made: dict[str, str | bytes] = {f"{FOLDER}/index.md": page(scores)}
@@ -32,7 +32,7 @@ def pages(root: Path) -> dict[str, str | bytes]:
 
 
 def page(scores: Mapping[int, Mapping[str, str]]) -> str:
-    """The held-out tasks, then those for training."""
+    """The page: the held-out tasks, then the training tasks."""
     return (
         "# The suite of generated tasks\n\nDemo scenes with instructions and [programs]"
         "(../programs.md). The scores are means of 20 rollouts of the [scripted expert]"

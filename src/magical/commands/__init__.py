@@ -1,1 +1,1 @@
-"""The commands of `magical`, a file each: `HELP`, `configure(parser)`, `run(args) -> int`."""
+"""The commands of `magical`, one module each: `HELP`, `configure(parser)`, `run(args) -> int`."""

@@ -39,13 +39,13 @@ def add_several(
     kind: Callable[[str], Any] = str,
     **options: Any,
 ) -> None:
-    """Add an option of several values, which may be repeated; a list of what `kind` returns."""
+    """Add a repeatable option with several values; it gives a list of what `kind` returns."""
     options |= {"metavar": metavar, "help": meaning}
     parser.add_argument(flag, nargs="+", action="extend", type=kind, **options)
 
 
 def task_name(text: str) -> str:
-    """A task's name; of `module:TASK`, which is imported, its own name."""
+    """A task's name; `module:TASK` is imported, and the name is that of the task."""
     if ":" not in text:
         return text
     from magical.tasks import load_task
@@ -66,7 +66,7 @@ def explained(parse: Callable[[str], Value]) -> Callable[[str], Value]:
 
 
 def number(kind: type[Number], least: float, most: float = math.inf) -> Callable[[str], Number]:
-    """An argparse type: a finite number or an integer in a range, the ends included."""
+    """An argparse type: a finite number or an integer in a range that includes its ends."""
     noun = "an integer" if kind is int else "a number"
     allowed = f"of at least {least:g}" if most == math.inf else f"from {least:g} to {most:g}"
 
@@ -89,7 +89,7 @@ def add_count(
     least: int = 1,
     metavar: str = "N",
 ) -> None:
-    """Add an option whose value is an integer of at least `least`; the help says the default."""
+    """Add an option whose value is an integer of at least `least`; the help states the default."""
     kind, stated = number(int, least), "" if default is None else f" (default: {default})"
     parser.add_argument(flag, type=kind, default=default, metavar=metavar, help=meaning + stated)
 
@@ -103,7 +103,7 @@ def add_number(
     most: float = math.inf,
     metavar: str = "X",
 ) -> None:
-    """Add an option whose value is a number from 0 to `most`; the help says the default."""
+    """Add an option whose value is a number from 0 to `most`; the help states the default."""
     kind, stated = number(float, 0, most), "" if default is None else f" (default: {default:g})"
     parser.add_argument(flag, type=kind, default=default, metavar=metavar, help=meaning + stated)
 
@@ -114,7 +114,7 @@ def add_seed(parser: argparse.ArgumentParser, meaning: str) -> None:
 
 
 def add_rollouts(parser: argparse.ArgumentParser) -> None:
-    """Add `--rollouts N`, on each variant."""
+    """Add `--rollouts N`, the number of rollouts on each variant."""
     add_count(parser, "--rollouts", "on each variant", default=100)
 
 
@@ -131,13 +131,13 @@ def add_out(
 
 
 def print_json(args: argparse.Namespace, result: Mapping[str, Any]) -> None:
-    """Print the one JSON object that `--json` promises, where it is given."""
+    """Print the one JSON object that `--json` promises, if it was given."""
     if args.json:
         print(json.dumps(result))
 
 
 def plain_interval(interval: Iterable[float]) -> list[float | None]:
-    """A figure and the ends of its interval for JSON; `None` where there is none."""
+    """A value and the ends of its interval for JSON; NaN becomes `None`."""
     return [None if math.isnan(number) else number for number in interval]
 
 

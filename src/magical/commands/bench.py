@@ -1,11 +1,11 @@
-"""Measure control steps per second beside the bare physics, or the speed of training.
+"""Measure control steps per second, compared with the bare physics, or the speed of training.
 
-`env` and `vector`: three copies take the same actions by turns. One observes pixels, one the state
+`env` and `vector`: three copies take turns with random actions. One observes pixels, one the state
 vector, and one is the bare simulation of a single environment, in which only the time inside its
-steps is counted: the rate that a worker would reach if nothing else took time. Episodes are reset
-within the measured time.
+steps is counted: the rate that a worker would reach if nothing else took time. For the other two,
+the measured time includes resetting episodes.
 
-`training`: every precision and number of threads takes turns on the same batches of a network.
+`training`: all precisions and numbers of threads take turns on the same batches of a network.
 """
 
 import argparse
@@ -33,7 +33,7 @@ from magical.scene.actions import NUM_ACTIONS
 HELP = "measure steps per second, or the speed of training"
 DEFAULT_ENV = "magical/ClusterColour-Demo-LoRes4E-v0"
 WARM_UP = 5  # steps before anything is measured: caches, compilation
-PROBE = 20  # steps of the first turns, from which the length of a turn follows
+PROBE = 20  # steps in the first turns, from which the length of later turns is computed
 TURN = 0.2  # seconds of each copy's turn: short, so that noise affects all alike
 
 
@@ -87,7 +87,7 @@ def run(args: argparse.Namespace) -> int:
 def measure(
     env_id: EnvId, kind: str, num_envs: int, workers: int | None, seconds: float, seed: int
 ) -> dict[str, Any]:
-    """The rates, each in control steps of one environment per second; that of physics for one core.
+    """The rates, in control steps of single environments per second; that of physics for one core.
 
     Returns plain data for JSON.
     """
@@ -132,7 +132,7 @@ def measure(
 
 
 class BarePhysics:
-    """The simulation of one environment's episodes, with a clock around its steps."""
+    """The simulation of one environment's episodes, timed only inside its steps."""
 
     def __init__(self, env_id: EnvId, seed: int) -> None:
         self._env_id = env_id
@@ -163,7 +163,7 @@ class BarePhysics:
 
 
 class _Turns:
-    """The steps of one copy so far. Copies with the same seed get the same actions."""
+    """The steps of one copy so far. The same seed and `num_envs` give the same actions."""
 
     def __init__(self, step: Callable[[Any], object], num_envs: int, seed: int) -> None:
         self._step, self._num_envs = step, num_envs
@@ -191,7 +191,7 @@ class _Turns:
 
 
 def _run_training(args: argparse.Namespace) -> int:
-    """Measure training, print, recommend options of `magical train`."""
+    """Measure training, print, recommend options for `magical train`."""
     from magical.learning.running.devices import choose_compute
     from magical.learning.running.speed import training_speeds
 

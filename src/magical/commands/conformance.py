@@ -2,7 +2,8 @@
 
 Without arguments, every recording in the package is checked; with a kind, those of that kind; with
 a kind and a file, a recording of your own. Prints each figure with its limit; the exit status is 1
-when a limit is exceeded. A file without recorded results is only computed, and written with --out.
+if a limit is exceeded. A file without recorded results is computed but not compared; --out writes
+what was computed.
 """
 
 import argparse

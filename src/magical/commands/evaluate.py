@@ -110,7 +110,7 @@ def run(args: argparse.Namespace) -> int:
         horizon=args.horizon,
         nudge=nudge if args.nudge is None else args.nudge,
     )
-    method = args.method or Path(args.policy).absolute().name  # of "." too
+    method = args.method or Path(args.policy).absolute().name  # also for "."
     if args.out:
         entry = Entry.of(policy, evaluation, method=method, details=_details(args))
         entry.check_writable(args.out)
@@ -118,7 +118,7 @@ def run(args: argparse.Namespace) -> int:
         log(f"error: --leaderboard: the entry would not be ranked: {'; '.join(why)}")
         return USAGE
     if args.out:
-        make_folder(args.out)  # what cannot be written is known before the rollouts
+        make_folder(args.out)  # an unwritable folder is noticed before the rollouts
     with progress_bar("rollouts", len(evaluation.env_ids) * args.rollouts) as advance:
         scores = roll_out(policy, evaluation, workers=args.workers, progress=advance)
     print_scores(scores)
@@ -142,7 +142,7 @@ def _misused(args: argparse.Namespace, policy: "Policy") -> str:
 
 
 def _details(args: argparse.Namespace) -> dict[str, Any]:
-    """What the entry records beside the evaluation."""
+    """What the entry records in addition to the evaluation."""
     from magical.experiments.entries import evaluation_details
     from magical.report.found.statements import LOOKS
     from magical.runs.sources import LEARNED_FROM

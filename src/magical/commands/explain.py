@@ -1,10 +1,10 @@
-"""Print which programs of the language of goals a trained policy believes in, and how firmly.
+"""Print which programs of the goal language a trained policy believes in, and how strongly.
 
-RUN is the folder of a run of `program-bc`. A program is weighed by its prior probability and by how
-likely its goal makes the moves that were demonstrated. Where Demo leaves open what was meant, many
-programs share the weight; where no program explains the demonstrations, this is said. Programs that
-agree in Demo may not elsewhere: of scenes of each variant the confidence is printed, which is how
-probable it is that what the policy would move first has to be moved.
+RUN is the folder of a run of `program-bc`. A program is weighted by its prior probability and by
+how likely its goal makes the demonstrated moves. If Demo leaves open what was meant, many programs
+share the weight; if no program explains the demonstrations, the output says so. Programs that agree
+in Demo may differ elsewhere, so the confidence in scenes of each variant is printed: the
+probability that what the policy would move first has to be moved.
 """
 
 import argparse

@@ -1,8 +1,8 @@
 """Make a leaderboard of evaluated entries: static pages that can be put on any web server.
 
 FOLDER holds entries (folders with scores.csv and entry.json) at any depth. Each is checked against
-the protocol; methods are ranked by TestAll and by the generalisation gap; what is not ranked is
-listed with the reason.
+the protocol; methods are ranked by TestAll and by the generalisation gap; entries that are not
+ranked are listed with the reason.
 """
 
 import argparse
@@ -79,7 +79,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _plain(row: "Standing") -> dict[str, Any]:
-    """A method's place as plain data; a reference has no ranks, and no interval is `None`s."""
+    """A method's standing as plain data; a reference has no ranks, and NaN becomes `None`."""
     return {
         "method": row.method,
         "rank": None if row.is_reference else row.rank,

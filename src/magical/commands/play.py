@@ -1,4 +1,4 @@
-"""Play, record and look in the browser.
+"""Play, record, and look at demonstrations and policies in the browser.
 
 The first line of standard output is the page's address, with a token that it needs. On a server
 without a display, forward the port (`ssh -L 8000:127.0.0.1:8000 server`) and open that address.

@@ -1,7 +1,7 @@
-"""From nothing to a result: demonstrations, training, evaluation, and a page that shows it.
+"""Go from nothing to a result: demonstrations, training, evaluation, and a page of results.
 
 Scripted experts demonstrate MoveToRegion and MoveToCorner; behavioural cloning learns each from
-pixels; its policies, the expert and a random policy are evaluated on all variants. It is
+pixels; its policies, the expert and a random policy are evaluated on all variants. This is
 `magical run quickstart`, then `magical report`; an interrupted quickstart is continued.
 """
 

@@ -1,7 +1,7 @@
 """Make a page of tables and figures from evaluated runs.
 
 DIR is a folder that `magical evaluate POLICY --out DIR` has written, or a folder with such folders
-at any depth. Folders with the same method are runs of it and share a row.
+at any depth. Folders with the same method are its runs and share a row.
 """
 
 import argparse

@@ -1,8 +1,8 @@
 """Run a plan: train and evaluate every method on every task with every seed.
 
 PLAN is a TOML file (docs/experiments.md), or the name of one of this package's plans: `quick`,
-`quickstart`, or `paper` for the appendix's whole grid. Given again, the command continues: a run
-that is done is not done again, an interrupted one resumes from its last checkpoint.
+`quickstart`, or `paper` for the appendix's whole grid. The same command continues an interrupted
+plan: finished runs are not repeated, and interrupted ones resume from their last checkpoint.
 """
 
 import argparse

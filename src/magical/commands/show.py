@@ -1,4 +1,4 @@
-"""Write an image of a scene, egocentric and allocentric view side by side."""
+"""Write an image of a scene, with the egocentric and allocentric views side by side."""
 
 import argparse
 from pathlib import Path

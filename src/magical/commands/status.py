@@ -1,4 +1,4 @@
-"""Show how far `magical run` is, from another terminal or after it has ended."""
+"""Show the progress of `magical run`, from another terminal or after it has ended."""
 
 import argparse
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Train a policy by one of the algorithms, each of which has options of its own.
+"""Train a policy with one of the algorithms, each of which has its own options.
 
 A run is kept in a folder: configuration, versions, demonstrations, metrics, two checkpoints.
 """
@@ -28,7 +28,7 @@ HELP = "train a policy"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Describe the command's arguments, importing no algorithm: that would import PyTorch."""
+    """Describe the command's arguments without importing an algorithm, and so PyTorch."""
     from magical.learning import algorithm_names
 
     parser.add_argument(
@@ -98,7 +98,7 @@ def _imports(config: "Config") -> str:
 
 
 class _ParseOptions(argparse.Action):
-    """Parses what follows the algorithm's name by the options of its configuration."""
+    """Parses what follows the algorithm's name as the options of its configuration."""
 
     def __call__(
         self,
@@ -183,7 +183,7 @@ def _add_option(parser: argparse.ArgumentParser, option: "Option") -> None:
 
 
 def _dest(option: "Option") -> str:
-    """The name among the parsed arguments, apart from those of the command itself."""
+    """The name among the parsed arguments, distinct from those of the command itself."""
     return f"setting {option.name}"
 
 

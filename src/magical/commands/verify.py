@@ -1,9 +1,10 @@
-"""Run a sample of an entry's rollouts again, and say whether its scores are what they would be.
+"""Run a sample of an entry's rollouts again, and say whether that confirms its scores.
 
-ENTRY is a folder with scores.csv and entry.json. Its policy is that of the run folder that it names
-or lies in, a built-in one, or --policy. The scores must be equal. Only where the entry states that
-it was made on another machine, or with other versions, small differences of a network's arithmetic
-may change single rollouts, and the mean in every environment is judged.
+ENTRY is a folder with scores.csv and entry.json. The policy is that of the run folder that the
+entry names or lies in, a built-in one, or --policy. The scores must be equal, unless the entry
+states that it was made on another machine or with other versions: then small differences in a
+network's arithmetic may change single rollouts, and the mean scores, over all rollouts and in each
+environment, are compared instead.
 """
 
 import argparse

@@ -1,5 +1,5 @@
-"""Compilation of numerical kernels, which live beside their users.
+"""Compilation of numerical kernels, which are defined next to the code that uses them.
 
-- `jit`: how numba is used, here alone.
+- `jit`: the only place that says how numba is used.
 - `cache`: compiled code on disk.
 """

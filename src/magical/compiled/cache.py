@@ -1,16 +1,16 @@
-"""Compiled code on disk: verified before it is loaded, and never needed.
+"""Compiled code on disk: verified before it is loaded, and never required.
 
 numba's own cache reads whatever it finds: a flipped bit in the machine code ends in a segmentation
-fault, a full disk in an `OSError` after compilation. `CompileCache` takes its place behind the same
+fault, a full disk in an `OSError` after compilation. `CompileCache` replaces it and has the same
 methods. A file holds a SHA-256 digest, then what numba needs to load one function again. It is
-unpickled only if the digest matches; whatever else is wrong, the function is compiled again.
+unpickled only if the digest matches; if anything is wrong, the function is compiled again.
 
 The files are in a folder of the user's own, which no other user can read or write; that protects
 against code from other users. The digest protects against damage. Neither protects against programs
 that run as the same user, which could change the package itself.
 
 numba has no public interface for a custom cache, so this is the only file that uses
-`numba.core`; where a release of numba differs, functions are compiled in every process.
+`numba.core`; if a release of numba differs, functions are compiled in every process.
 """
 
 import contextlib
@@ -30,8 +30,8 @@ from magical.files import read_regular, write_atomically
 
 DIGEST_BYTES = hashlib.sha256().digest_size
 MAX_BYTES = 1 << 26  # of a file: many times what a function takes
-MAX_FILES = 256  # in the folder; a Python and a checkout need about 36, the oldest are removed
-SHARED = ("compiled", "render", "scene")  # rooms whose code and constants kernels elsewhere use
+MAX_FILES = 256  # in the folder; one Python and checkout take about 36; the oldest are removed
+SHARED = ("compiled", "render", "scene")  # packages whose code and constants kernels elsewhere use
 
 
 class CompileCache:
@@ -40,7 +40,7 @@ class CompileCache:
     Args:
         function: the function that is compiled; its name and the values it closes over are part of
             the key, with the signature, the processor, the versions of Python and numba, whether
-            numba checks bounds, and the sources: of its own folder and of the rooms `SHARED`.
+            numba checks bounds, and the sources in its own folder and the subpackages `SHARED`.
         folder: where the files are. Default: `cache_folder()`.
     """
 
@@ -63,7 +63,7 @@ class CompileCache:
             from numba.core.runtime.nrt import rtsys
 
             # numba's own cache calls `target_context.refresh()`, which imports all that can be
-            # compiled, and SciPy. What is compiled already needs the runtime alone.
+            # compiled, and SciPy. Code that is compiled already needs only the runtime.
             rtsys.initialize(target_context)
             rebuild: Callable[..., Any] = compiler.CompileResult._rebuild
             content = read_regular(self._path(signature, target_context.codegen()), MAX_BYTES)
@@ -76,7 +76,7 @@ class CompileCache:
             return None
 
     def save_overload(self, signature: Any, result: Any) -> None:
-        """Keep a compiled function; without an effect where it cannot be kept."""
+        """Save a compiled function; has no effect if it cannot be saved."""
         failures = (OSError, RuntimeError, ImportError, AttributeError, pickle.PicklingError)
         with contextlib.suppress(*failures):
             from numba.core import serialize
@@ -91,7 +91,7 @@ class CompileCache:
             _remove_oldest(path.parent)
 
     def flush(self) -> None:
-        """Do nothing: a key names its sources, so that no file is ever out of date."""
+        """Do nothing: keys depend on the sources, so no file is ever out of date."""
 
     def _path(self, signature: Any, codegen: Any) -> Path:
         """The file of a signature; raises `OSError` unless the folder is there and private."""
@@ -107,8 +107,8 @@ class CompileCache:
 def cache_folder() -> Path:
     """The folder that compiled code is kept in; raises `RuntimeError` for a user without a home.
 
-    That of numba's setting `NUMBA_CACHE_DIR` where there is one, otherwise the platform's folder
-    for caches: `XDG_CACHE_HOME` or `~/.cache`, on Windows `LOCALAPPDATA`.
+    It is inside numba's `NUMBA_CACHE_DIR` if that is set, otherwise inside the platform's folder
+    for caches: `XDG_CACHE_HOME`, on Windows `LOCALAPPDATA`, or `~/.cache`.
     """
     platform = "LOCALAPPDATA" if sys.platform == "win32" else "XDG_CACHE_HOME"
     base = (
@@ -120,9 +120,9 @@ def cache_folder() -> Path:
 
 
 def check_private(folder: Path) -> None:
-    """Raise `OSError` unless a path is a folder, no link, that is private to the user (mode 0700).
+    """Raise `OSError` unless a path is a folder, not a link, private to the user (mode 0700).
 
-    Windows has no such modes; there, the user's profile is private by itself.
+    Windows has no such modes; there, the user's profile is private anyway.
     """
     status = folder.lstat()
     if not stat.S_ISDIR(status.st_mode):
@@ -135,7 +135,7 @@ def check_private(folder: Path) -> None:
 
 @cache
 def source_digest(folder: Path) -> str:
-    """A digest of the source files that compiled code of a folder is made of."""
+    """A digest of the source files that a folder's compiled code is made from."""
     package = Path(__file__).parents[1]
     return digest_of(folder, *(package / room for room in SHARED))
 

@@ -16,9 +16,9 @@ from numba.extending import intrinsic
 from magical.compiled.cache import CompileCache
 
 ADDRESS, FLOAT = numba.types.intp, numba.types.float64
-# Not called from C, and divided by zero as numpy does: less to compile.
+# No C wrapper, and division by zero as in NumPy: less to compile.
 _ALL: dict[str, Any] = {"no_cfunc_wrapper": True, "error_model": "numpy"}
-_WITHIN: dict[str, Any] = {"no_cpython_wrapper": True, **_ALL}  # nor from Python
+_WITHIN: dict[str, Any] = {"no_cpython_wrapper": True, **_ALL}  # no Python wrapper either
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
 
@@ -30,8 +30,8 @@ def inlined(function: Kernel) -> Kernel:
 def merged(function: Kernel) -> Kernel:
     """Like `inlined`, for a larger kernel that is called in one or two places.
 
-    It is not compiled by itself first, which takes longer for a large kernel than its caller's
-    compilation with it, and for a small one less.
+    It is not compiled separately first. For a large kernel that would take longer than compiling it
+    with its caller; for a small one it would take less.
     """
     return cast(Kernel, numba.njit(inline="always", error_model="numpy")(function))
 
@@ -49,20 +49,20 @@ def entry_point(function: Kernel) -> Kernel:
 def nogil_entry_point(function: Kernel) -> Kernel:
     """Like `entry_point`, for functions that release the interpreter's lock while they run.
 
-    Arrays that they are given must not be used by another thread meanwhile.
+    Other threads must not use the arrays passed to such a function while it runs.
     """
     return _cached(function, numba.njit(nogil=True, **_ALL)(function))
 
 
 def c_function(name: str, address: int, *arguments: Any) -> Any:
-    """A C function at an address, which returns nothing, for entry points to call.
+    """A C function at an address, without a return value, for entry points to call.
 
     Compiled code on disk refers to it by its name.
 
     Args:
-        name: unique in the process.
-        address: of this process.
-        arguments: their types as compiled code has them: `ADDRESS` or `FLOAT`.
+        name: a name that is unique in the process.
+        address: the function's address in this process.
+        arguments: the types of its arguments in compiled code: `ADDRESS` or `FLOAT`.
     """
     symbol = f"magical_{name}"
     llvmlite.binding.add_symbol(symbol, address)
@@ -74,7 +74,7 @@ def _cached(function: Kernel, dispatcher: Any) -> Kernel:
     compile_signature = dispatcher.compile
 
     def without_collection(signature: Any) -> Any:
-        # Looking for garbage among numba's many objects takes a seventh of the time.
+        # Garbage collection over numba's many objects takes a seventh of the time.
         enabled = gc.isenabled()
         gc.disable()
         try:
@@ -94,7 +94,7 @@ def _count_bits(_: Any, word: Any) -> Any:
     return word(word), generate
 
 
-# How many bits of an integer are 1: one machine instruction, which numba has no name for.
+# How many bits of an integer are 1: one machine instruction, for which numba has no function.
 count_bits = cast(Callable[[int], int], intrinsic(_count_bits))
 
 
@@ -130,8 +130,8 @@ def _integer(_: Any, x: Any) -> Any:
     return numba.types.int64(x), generate
 
 
-# As `min`, `max`, `np.rint`, `np.ceil` and `int`, of 64-bit numbers. numba compiles a function for
-# each type that those are given, which takes longer than a small kernel.
+# Like `min`, `max`, `np.rint`, `np.ceil` and `int`, for 64-bit numbers. numba compiles a function
+# for each type that those are called with, which takes longer than compiling a small kernel.
 minimum, maximum = _chosen("<"), _chosen(">")
 rint, ceil = _whole("rint"), _whole("ceil")
 integer = cast(Callable[[Any], int], intrinsic(_integer))

@@ -26,7 +26,7 @@ FrameArray = NDArray[np.uint8]  # (N, size, size, 3)
 
 @dataclass(frozen=True, slots=True)
 class RecordedFrames:
-    """N states and, for the views that were recorded, their frames."""
+    """N states and their frames in the recorded views."""
 
     scenes: tuple[Scene, ...]  # N
     poses: tuple[Poses, ...]  # N
@@ -37,10 +37,10 @@ class RecordedFrames:
 
 
 def load(path: Path | str) -> RecordedFrames:
-    """Read a frames file: the JSON string `records` and, where recorded, `allo` and `ego`.
+    """Read a frames file: the JSON string `records` and, if recorded, `allo` and `ego`.
 
-    The format is described beside the recordings in `data`. The states of a file without frames
-    are rendered at 384 pixels if the file's name contains 384, otherwise at 96.
+    The format is described in the README of `data`. For a file without frames, `size` is 384 if
+    the file's name contains 384, otherwise 96.
 
     Raises:
         RecordingError: the file cannot be read, or is not in the documented format.
@@ -72,7 +72,7 @@ def compute(data: RecordedFrames) -> dict[View, FrameArray]:
 
 
 def compare(data: RecordedFrames, computed: Mapping[View, FrameArray]) -> list[Comparison]:
-    """Mean absolute differences, for each task and view and for the worst frame of each view."""
+    """Mean absolute differences for each task and view, and for the worst frame of each view."""
     comparisons = []
     for view, recorded in data.frames.items():
         differences = _differences(recorded, computed[view])

@@ -16,9 +16,9 @@ from magical.scene.scene import Block, Pose, Scene
 from magical.scene.vocabulary import Colour
 
 FIRST_STEPS = 3
-# Poses in the first steps (units or rad): twice the rounding of the recordings.
+# Poses in the first steps (units or rad): twice the recordings' rounding.
 FIRST_LIMIT = 1e-7
-# At every step: a little more than the published physics differs from itself when one finger is
+# At any step: slightly more than the published physics deviates from itself when one finger is
 # moved by one floating-point spacing during the first two steps (docs/determinism.md).
 POSITION_LIMIT = 0.003  # units: robot and blocks when driving, turning and pushing
 ANGLE_LIMIT = 0.002  # rad: the robot
@@ -31,7 +31,7 @@ Motion = dict[str, Any]
 
 
 def load(path: Path | str) -> dict[str, Motion]:
-    """Read a motions file: name -> `robot`, `blocks`, `actions` and, where recorded, the results.
+    """Read a motions file: name -> `robot`, `blocks`, `actions` and, if recorded, the results.
 
     Raises:
         RecordingError: the file cannot be read, or is not in the documented format.
@@ -52,7 +52,7 @@ def _check(name: str, motion: Motion) -> None:
         if key in motion and len(motion[key]) != len(motion["actions"]) + 1:
             raise ValueError(f"{name}: {key} not one more than actions")
     if all(key in motion for key in _RESULTS):
-        _errors(motion, motion)  # which raises an error for arrays of other shapes
+        _errors(motion, motion)  # raises an error if array shapes are wrong
 
 
 write = write_json
@@ -64,7 +64,7 @@ def compute(data: Mapping[str, Motion]) -> dict[str, Motion]:
 
 
 def compare(data: Mapping[str, Motion], computed: Mapping[str, Motion]) -> list[Comparison]:
-    """The largest difference in the first steps and at any step, for each kind and quantity."""
+    """The largest differences in the first steps and, for each quantity, at any step, by kind."""
     complete = [name for name, motion in data.items() if all(key in motion for key in _RESULTS)]
     groups = group_by(complete, _kind)
     return [
@@ -103,8 +103,8 @@ def _errors(recorded: Motion, computed: Motion) -> tuple[float, float, float, fl
     """The largest differences between two motions.
 
     Returns:
-        Of any coordinate or angle of robot, fingers and blocks in the first steps; then, at any
-        step, of any position, the robot's angle, any block's angle.
+        The largest difference of any coordinate or angle of robot, fingers and blocks in the first
+        steps; then, at any step, those of positions, of the robot's angle, and of block angles.
     """
     robot = np.array(computed["robot_pose"]) - np.array(recorded["robot_pose"])  # (T + 1, 3)
     fingers = np.array(computed["finger_angles"]) - np.array(recorded["finger_angles"])
@@ -144,9 +144,9 @@ def _scene(motion: Motion) -> Scene:
 
 
 def _unrounded(angle: float) -> float:
-    """The multiple of a quarter turn that was recorded as `angle`, with seven decimals, or `angle`.
+    """The multiple of a quarter turn whose recording (seven decimals) is `angle`, or `angle`.
 
-    The rest of an angle matters: it decides the direction of the fingers' pin joints
+    The digits lost to rounding matter: they decide the direction of the fingers' pin joints
     (magical/physics/pins.py).
     """
     turns = round(angle / (math.pi / 2)) * (math.pi / 2)

@@ -1,4 +1,4 @@
-"""Recordings: where those in the package are, how files are read and written, comparisons."""
+"""The package's recordings: where they are, reading and writing files, comparisons."""
 
 import gzip
 import json
@@ -22,7 +22,7 @@ RECORDINGS = {
     "scenes": ("scenes.json.gz",),
     "scores": ("scores.json.gz",),
 }
-# What reading and checking a damaged file raises, besides `OSError`.
+# What reading and checking a damaged file raises, other than `OSError`.
 _DAMAGE = (
     *(AttributeError, EOFError, LookupError, TypeError, ValueError, MagicalError),
     *(msgspec.MsgspecError, zipfile.BadZipFile, zlib.error),
@@ -31,7 +31,7 @@ _DAMAGE = (
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """One figure, its limit, and whether it is within the limit."""
+    """One figure, its limit, and whether the figure passes."""
 
     name: str
     figure: float
@@ -42,12 +42,12 @@ class Comparison:
 
     @classmethod
     def at_most(cls, name: str, figure: float, limit: float, unit: str, detail: str = "") -> Self:
-        """The comparison of a figure that passes up to `limit`."""
+        """A comparison that passes if the figure is at most `limit`."""
         return cls(name, figure, limit, unit, figure <= limit, detail)
 
 
 def read_json(path: Path | str, kind: Any) -> Any:
-    """Read JSON of a type, gzipped or not; for use within `expecting`."""
+    """Read JSON as type `kind`, gzipped or not; for use within `expecting`."""
     raw = Path(path).read_bytes()
     return msgspec.json.decode(gzip.decompress(raw) if raw[:2] == b"\x1f\x8b" else raw, type=kind)
 
@@ -60,7 +60,7 @@ def write_json(computed: Any, out: Path | str) -> None:
 
 @contextmanager
 def expecting(path: Path | str, expected: str) -> Iterator[None]:
-    """Errors in the block become a `RecordingError` that says what the file should hold."""
+    """Turn errors in the block into a `RecordingError` that says what the file should hold."""
     try:
         yield
     except OSError as error:

@@ -2,7 +2,7 @@
 
 Two-sample Kolmogorov-Smirnov tests on every coordinate, chi-squared tests on colours, shapes and
 counts; what is constant in the recordings must be equal. One exception: FixColour's mismatched
-colour, which was sampled with a bias in the recordings; only which block is mismatched is compared.
+colour was sampled with a bias in the recordings, so only which block is mismatched is compared.
 """
 
 from collections import Counter
@@ -20,10 +20,10 @@ from magical.scene import Dynamics, Scene
 from magical.tasks import get_task
 from magical.tasks.axes import DEMO
 
-LIMIT = 1e-4  # of the smallest p-value, after Bonferroni correction over all tests
+LIMIT = 1e-4  # for the smallest p-value, after Bonferroni correction over all tests
 ROUNDING = 2e-5  # units and rad: recordings are rounded to five decimals
-LEAST_RECORDED = 20  # the fewest values of a coordinate or category that are tested
-SAMPLES = 1000  # scenes sampled for each environment, where the recording does not hold more
+LEAST_RECORDED = 20  # a coordinate or category with fewer values is not tested
+SAMPLES = 1000  # scenes sampled for each environment, unless the recording holds more
 BIASED_COLOURS = "FixColour"
 
 SceneRow = Mapping[str, Any]
@@ -32,7 +32,7 @@ Value = TypeVar("Value", float, str)
 
 @dataclass(frozen=True)
 class SampledScenes:
-    """Sampled scenes of each environment, and how many of them `write` writes."""
+    """Sampled scenes of each environment, and how many of them to write."""
 
     scenes: Mapping[str, Sequence[SceneRow]]
     wanted: Mapping[str, int]
@@ -41,8 +41,8 @@ class SampledScenes:
 def load(path: Path | str) -> dict[str, list[SceneRow]]:
     """Read recorded scenes: environment -> [{robot, blocks, regions, dynamics}, ...].
 
-    An environment's list may be empty, and a plain list of environments is accepted: their scenes
-    are then sampled without being compared.
+    An environment's list may be empty, and a plain list of environments is also accepted: scenes
+    are then sampled but not compared.
 
     Raises:
         RecordingError: the file cannot be read, or is not in the documented format.
@@ -62,9 +62,9 @@ def load(path: Path | str) -> dict[str, list[SceneRow]]:
 
 
 def compute(data: Mapping[str, Sequence[SceneRow]], samples: int = SAMPLES) -> SampledScenes:
-    """Sample at least `samples` scenes of every environment (Demo: one).
+    """Sample at least `samples` scenes of every environment (Demo: one), and as many as recorded.
 
-    The random numbers of an environment depend on its position in `data` alone.
+    An environment's random numbers depend only on its position in `data`.
     """
     scenes = {}
     for i, (env, rows) in enumerate(data.items()):
@@ -76,7 +76,7 @@ def compute(data: Mapping[str, Sequence[SceneRow]], samples: int = SAMPLES) -> S
 
 
 def row_of(scene: Scene, dynamics: Dynamics) -> SceneRow:
-    """A scene in the recordings' format, with regions by their centres."""
+    """A scene in the recordings' format, with regions given by their centres."""
     data = scene.to_dict()
     return {
         "robot": data["robot"],
@@ -87,12 +87,12 @@ def row_of(scene: Scene, dynamics: Dynamics) -> SceneRow:
 
 
 def write(computed: SampledScenes, out: Path | str) -> None:
-    """Write as many scenes of each environment as were recorded, in the recordings' format."""
+    """Write as many scenes per environment as were recorded (all if none), in the same format."""
     write_json({env: rows[: computed.wanted[env]] for env, rows in computed.scenes.items()}, out)
 
 
 def compare(data: Mapping[str, Sequence[SceneRow]], computed: SampledScenes) -> list[Comparison]:
-    """The smallest p-value of all tests, for each task with recorded scenes."""
+    """The smallest p-value, Bonferroni-corrected over all tests, of each task with recordings."""
     tests: dict[str, dict[str, float]] = {}  # task: name of the test: p-value
     for env, rows in data.items():
         if recorded := [row for row in rows if row]:
@@ -133,21 +133,21 @@ def _p_values(
 
 
 def _ks(recorded: Sequence[float], sampled: Sequence[float]) -> float:
-    """The p-value for two samples of a coordinate; 0 or 1 where it is constant in `recorded`."""
+    """The p-value for two samples of a coordinate; 0 or 1 if it is constant in `recorded`."""
     from scipy import stats
 
     a, b = np.array(recorded), np.array(sampled)
     if np.ptp(a) <= ROUNDING:
         return float(np.abs(b - a[0]).max() <= ROUNDING)
     middle = np.median(a)
-    # On the values alone, the test has little power against a range too wide on both sides.
+    # The test on the values alone has little power against a range that is too wide on both sides.
     pairs = [(a, b), (abs(a - middle), abs(b - middle))]
     p_values = [float(stats.ks_2samp(*pair, method="asymp").pvalue) for pair in pairs]
     return min(1.0, len(pairs) * min(p_values))
 
 
 def _chi_squared(recorded: Sequence[str], sampled: Sequence[str]) -> float:
-    """The p-value for two samples of a category; 0 or 1 where it is constant in `recorded`."""
+    """The p-value for two samples of a category; 0 or 1 if it is constant in `recorded`."""
     from scipy import stats
 
     values = sorted({*recorded, *sampled})

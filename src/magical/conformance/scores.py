@@ -16,7 +16,7 @@ ScoredState = Mapping[str, Any]
 
 
 def load(path: Path | str) -> list[ScoredState]:
-    """Read final states: [{task, variant, scene, final and, where recorded, scores}, ...].
+    """Read final states: [{task, variant, scene, final and, if recorded, scores}, ...].
 
     Raises:
         RecordingError: the file cannot be read, or is not in the documented format.

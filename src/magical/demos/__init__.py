@@ -1,4 +1,4 @@
-"""Demonstrations: datasets of trajectories, recording, the published human ones, export.
+"""Demonstrations: datasets of trajectories, recording, the published human data, and export.
 
 from magical.demos import Dataset, RecordTrajectories
 

@@ -1,4 +1,4 @@
-"""Demonstrations from the scripted experts."""
+"""Generating demonstrations with the scripted experts."""
 
 from collections.abc import Callable, Iterator
 from contextlib import closing
@@ -30,7 +30,7 @@ class GenerateReport:
     env_id: str
     kept: int
     dropped: int  # below `min_score`
-    scores: tuple[float, ...]  # of those kept
+    scores: tuple[float, ...]  # of the demonstrations kept
 
 
 def generate(
@@ -49,29 +49,29 @@ def generate(
 ) -> GenerateReport:
     """Append `number` demonstrations by the task's scripted expert to a dataset.
 
-    Attempt i has the scene of `reset(seed=episode_seed(seed, i))` and its own strategy.
+    Attempt i starts in the scene of `reset(seed=episode_seed(seed, i))`, with its own strategy.
 
     Args:
-        env_id: a preset in it is ignored.
-        number: of demonstrations to append.
-        out: the dataset's folder, created if there is none.
-        seed: of the series of attempts.
-        first: number of the first attempt, to continue a series.
-        skill: 1 acts as well as it can; below, it makes mistakes.
-        perturb: share of steps with a random action; the expert's remain the `labels` to imitate.
-        min_score: attempts that score less (appendix's rule) are dropped.
-        workers: processes; by default one for each core. The result does not depend on it.
-        action_space: of the stored actions, "discrete" or "continuous".
+        env_id: the environment's id; a preset in it is ignored.
+        number: how many demonstrations to append.
+        out: the dataset's folder, created if it does not exist.
+        seed: seed of the series of attempts.
+        first: index of the first attempt, to continue a series.
+        skill: 1 for the expert at its best; below 1, it makes mistakes.
+        perturb: share of steps with a random action; the `labels` to imitate stay the expert's.
+        min_score: attempts with a lower score (by the appendix's rule) are dropped.
+        workers: number of processes (default: one per core). The result does not depend on it.
+        action_space: kind of the stored actions, "discrete" or "continuous".
         progress: called with 1 after each demonstration that is kept.
 
     Raises:
         DatasetError: too few attempts reach the score, or the dataset cannot be written.
         InvalidConfigError: `skill` or `perturb` is not between 0 and 1.
-        ValueError: less than one demonstration, or a negative number of workers.
-        InvalidTaskError, NoExpertError: workers could not import the task, or it has no expert.
+        ValueError: `number` is less than 1, or `workers` is negative.
+        InvalidTaskError, NoExpertError: the workers cannot import the task, or it has no expert.
         UnknownNameError: there is no such environment or action space.
         InvalidSceneError: a sampled scene does not fit its task.
-        WorkerDiedError: a worker process was killed. What was kept before any error stays.
+        WorkerDiedError: a worker process was killed; what was already appended stays.
     """
     parsed, name = parse_env_id(env_id), action_spec(action_space).name
     check_share("perturb", perturb)
@@ -93,7 +93,7 @@ def _keep(
     min_score: float,
     progress: Callable[[int], None] | None,
 ) -> GenerateReport:
-    """Append the first `number` attempts that reach the score."""
+    """Append the first `number` attempts that reach `min_score`."""
     scores, dropped = list[float](), 0
     while len(scores) < number:
         if dropped > MAX_DROPPED * number:
@@ -115,7 +115,7 @@ def _keep(
 def demonstrate(env_id: str, seed: int, skill: float = 1.0, *, perturb: float = 0.0) -> Trajectory:
     """One episode of the scripted expert, in the scene of `reset(seed=seed)`.
 
-    `perturb` as in `generate`.
+    `skill` and `perturb` are as in `generate`.
 
     Raises:
         InvalidConfigError: `skill` or `perturb` is not between 0 and 1.

@@ -1,4 +1,4 @@
-"""Velocities for recorded poses: the simulation follows them, from time step to time step."""
+"""Velocities for recorded poses, from a simulation that follows the poses step by step."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,17 +8,17 @@ from magical.scene import Dynamics, Scene
 from magical.scene.actions import AnyAction
 from magical.scene.constants import CONTROL_RATE
 
-PRECISION = 1e-3  # units or radians: differences below may be due to the recorded poses
+PRECISION = 1e-3  # units or radians: smaller differences may be errors of the recorded poses
 
 Bodies = NDArray[np.float64]  # (5 + blocks, 3), the poses in the rows of `Poses`
 States = NDArray[np.float64]  # (..., 5 + blocks, 6), poses and velocities
 
 
 class PoseFollower:
-    """A simulation that is brought back to recorded poses after every control step.
+    """A simulation that is reset to recorded poses after every control step.
 
-    Velocities are the simulation's; where it predicted a body wrongly, the mean velocity that it
-    lacked is added. In contact, where velocities change within a control step, they are estimates.
+    Velocities are the simulation's. If it mispredicts a body, the missing mean velocity is added.
+    During contacts, when velocities change within a control step, they are estimates.
 
     Attributes:
         states: the current poses and velocities, (5 + blocks, 6).
@@ -29,14 +29,14 @@ class PoseFollower:
         self.states: States = self._simulation.read()
 
     def predict(self, action: AnyAction) -> Bodies:
-        """Simulate one control step from the current poses and velocities; the predicted poses."""
+        """Simulate one control step from the current poses and velocities; returns the poses."""
         self._simulation.write(self.states)
         self._simulation.step(action)
         self._predicted = self._simulation.read()
         return self._predicted[:, :3].copy()
 
     def correct(self, bodies: Bodies) -> None:
-        """Continue from the poses recorded after the step; what has not moved is still."""
+        """Continue from the poses recorded after the step; bodies that did not move are at rest."""
         still = (bodies == self.states[:, :3]).all(axis=1)
         states = self._predicted.copy()
         lacking = bodies - states[:, :3]

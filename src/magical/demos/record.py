@@ -20,22 +20,22 @@ from magical.scene import Dynamics, Scene
 
 
 class RecordTrajectories(gym.Wrapper[Any, Any, Any, Any]):
-    """A wrapper that stores every finished episode in a dataset, created if there is none.
+    """A wrapper that stores every finished episode in a dataset, which is created if needed.
 
-    It changes nothing that passes through it, so a policy, an expert and `gymnasium.utils.play` are
-    recorded alike; other wrappers may be inside or around it. An episode that is reset before its
-    end is not stored.
+    It passes everything through unchanged, so it works with a policy, an expert or
+    `gymnasium.utils.play`, and with other wrappers inside or around it. An episode that is reset
+    before its end is not stored.
 
     Args:
-        env: one of magical's environments, perhaps wrapped.
+        env: one of magical's environments, optionally wrapped.
         dataset: the dataset's folder.
         demonstrator: name of the person or policy that chooses the actions.
-        min_score: episodes with a lower score (appendix's rule) are not stored.
+        min_score: episodes with a lower score (by the appendix's rule) are not stored.
         metadata: plain JSON data to store with every episode.
 
     Raises:
-        TrajectoryError: the environment is not one of magical's; or `set_state` was called in the
-            middle of an episode.
+        TrajectoryError: the environment is not one of magical's; or `set_state` was called during
+            an episode.
         DatasetError: the dataset cannot be written.
     """
 
@@ -76,7 +76,7 @@ class RecordTrajectories(gym.Wrapper[Any, Any, Any, Any]):
         """Step the environment; at the end of the episode, store it."""
         result = super().step(action)
         state = self._inner.state()
-        if state.scene is not self._scene:  # `set_state` makes another, even of the same episode
+        if state.scene is not self._scene:  # `set_state` makes a new one, even for the same episode
             raise TrajectoryError("the episode was not recorded from its start; reset() first")
         self._poses.append(state.poses.bodies)
         if result[2] or result[3]:
@@ -105,17 +105,17 @@ def recorded_trajectory(
     demonstrator: str,
     metadata: Mapping[str, Any],
 ) -> Trajectory:
-    """The trajectory of an environment's episode so far, scored by its last poses.
+    """The trajectory of an environment's current episode, scored at its last poses.
 
     Args:
-        env: in the state that the episode ends in.
-        poses: of all bodies, (5 + blocks, 3), after `reset` and after every step since.
-        seed: passed to `reset`, where known.
+        env: the environment, in the state in which the episode ends.
+        poses: poses of all bodies, (5 + blocks, 3), after `reset` and after every step since.
+        seed: the seed passed to `reset`, if known.
         demonstrator: name of the person or policy that chose the actions.
-        metadata: plain JSON data, stored with date and versions.
+        metadata: plain JSON data, stored together with the date and versions.
 
     Raises:
-        TrajectoryError: there are not as many poses as the episode has steps, and one.
+        TrajectoryError: the number of poses is not one more than the number of steps.
     """
     saved = env.get_state()
     if len(poses) != len(saved["actions"]) + 1:

@@ -13,8 +13,8 @@ from magical.envs.ids import EnvId
 from magical.grouping import group_by
 from magical.physics import Simulation
 
-# Mean scores (published code's rule) of 25 human demonstrations per task, replayed in the published
-# implementation itself: unchanged, and with the robot's initial position moved by 1e-9.
+# Mean scores (by the published code's rule) of 25 human demonstrations per task, replayed in the
+# published implementation itself: unchanged, and with the robot's initial position moved by 1e-9.
 PUBLISHED_REPLAY: Mapping[str, tuple[float, float]] = MappingProxyType(
     {
         "MoveToCorner": (1.00, 0.96),
@@ -27,7 +27,7 @@ PUBLISHED_REPLAY: Mapping[str, tuple[float, float]] = MappingProxyType(
         "ClusterShape": (0.30, 0.28),
     }
 )
-TOLERANCE = 1e-6  # of a score, which others may have rounded to single precision
+TOLERANCE = 1e-6  # on scores, which other programs may have rounded to single precision
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,14 +38,14 @@ class Replay:
     env_id: EnvId
     demonstrator: str
     recorded: float  # the recorded score by the published code's rule
-    recorded_score: float | None  # by the appendix's rule, where it is known
+    recorded_score: float | None  # by the appendix's rule, if known
     score: float  # of the final state, by the appendix's rule
     published_code_score: float
-    departure: float | None  # largest distance of a body's final x or y from the recorded one
+    departure: float | None  # largest deviation of a body's final x or y from the recorded one
 
     @property
     def agrees(self) -> bool:
-        """Whether the scores are the recorded ones, by each rule that one is recorded by."""
+        """Whether the scores equal the recorded ones, by every rule with a recorded score."""
         same = math.isclose(self.published_code_score, self.recorded, abs_tol=TOLERANCE)
         if self.recorded_score is None:
             return same
@@ -61,9 +61,9 @@ class MeanReplay:
     recorded: float
     score: float
     published_code_score: float
-    agree: int  # number that got the recorded scores
+    agree: int  # number of replays with the recorded scores
     published_replay: tuple[float, float] | None  # `PUBLISHED_REPLAY`, for human demonstrations
-    exact: int | None  # number that ended in exactly the recorded poses, where those are known
+    exact: int | None  # number that ended at exactly the recorded positions, if those are known
 
 
 def replay(trajectory: Trajectory, file: str = "") -> Replay:
@@ -90,7 +90,7 @@ def replay(trajectory: Trajectory, file: str = "") -> Replay:
 
 
 def mean_replays(replays: Sequence[Replay]) -> list[MeanReplay]:
-    """Means for each environment, sorted by id."""
+    """Mean results for each environment, sorted by id."""
     groups = group_by(replays, attrgetter("env_id"))
     return [_mean(env_id, groups[env_id]) for env_id in sorted(groups)]
 

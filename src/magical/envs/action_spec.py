@@ -1,4 +1,4 @@
-"""What an environment's actions are, discrete or continuous: their space, their checks, arrays."""
+"""The kinds of actions, discrete and continuous: their spaces, checks and arrays."""
 
 import operator
 from abc import ABC, abstractmethod
@@ -17,13 +17,13 @@ Actions = NDArray[np.int64 | np.float64]  # (N,) int64, or (N, 3) float64
 
 
 class ActionSpec(ABC):
-    """The one owner of all that depends on the kind of actions; `DISCRETE` and `CONTINUOUS`."""
+    """Owns everything that depends on the kind of actions; see `DISCRETE` and `CONTINUOUS`."""
 
     name: ClassVar[ActionSpaceName]
     shape: ClassVar[tuple[int, ...]]  # of one action in an array
     dtype: ClassVar[type[np.int64] | type[np.float64]]  # of such arrays
     expected: ClassVar[str]  # what an action is, for messages
-    nothing: ClassVar[float]  # in an array, where there is no action
+    nothing: ClassVar[float]  # what an array holds where there is no action
 
     @property
     @abstractmethod
@@ -38,14 +38,14 @@ class ActionSpec(ABC):
     def checked_batch(self, actions: Any, count: int, name: str = "actions") -> Actions:
         """`count` actions as an array.
 
-        Raises `InvalidActionError` that begins with `name` and names the first that is wrong.
+        Raises `InvalidActionError`, which begins with `name` and names the first wrong action.
         """
 
     @abstractmethod
     def convert(self, actions: Actions) -> Actions:
-        """Actions of either kind as these, which make the same motions.
+        """Actions of either kind as actions of this kind, which produce the same motions.
 
-        Raises `InvalidActionError` for continuous actions that are no discrete ones.
+        Raises `InvalidActionError` for continuous actions without a discrete equivalent.
         """
 
 
@@ -127,7 +127,7 @@ class _Continuous(ActionSpec):
                 f"{name}: expected {self.expected}, of shape {shape}, found {quoted(points)}"
             )
         floats: NDArray[np.float64] = array.astype(np.float64)
-        good = np.abs(floats) <= 1.0  # NaN is not
+        good = np.abs(floats) <= 1.0  # false for NaN
         if not good.all():
             *row, part = np.argwhere(~good)[0].tolist()
             where = f" in row {row[0]}" if row else ""
@@ -144,8 +144,8 @@ class _Continuous(ActionSpec):
 def _as_array(actions: Any) -> NDArray[Any]:
     try:
         return np.asarray(actions)
-    except (TypeError, ValueError, RuntimeError):  # ragged, or a tensor that is no plain array
-        return np.empty(0, np.bool_)  # which no action is
+    except (TypeError, ValueError, RuntimeError):  # ragged, or a tensor that is not a plain array
+        return np.empty(0, np.bool_)  # which is never valid
 
 
 DISCRETE: ActionSpec = _Discrete()
@@ -154,7 +154,7 @@ ACTION_SPECS = {spec.name: spec for spec in (DISCRETE, CONTINUOUS)}
 
 
 def action_spec(name: str) -> ActionSpec:
-    """The action space of a name; raises `UnknownNameError`."""
+    """The action space with this name; raises `UnknownNameError`."""
     if isinstance(name, str) and name in ACTION_SPECS:
         return ACTION_SPECS[name]
     raise UnknownNameError(

@@ -31,10 +31,10 @@ class MagicalEnv(gym.Env[Any, Any]):
 
     ## Action space
     `Discrete(18)`: combinations of driving, turning and gripping, named in `ACTION_NAMES`. With
-    `action_space="continuous"`, `Box(-1, 1, (3,))`: drive (share of the speed, of 0.8 units / s
-    forward and 0.6 back), turn (share of 2.5 rad / s, left is positive) and grip (-1 open, 1
-    closed). The 18 are points of it (`scene.to_continuous`), which make the same motions to the
-    last bit.
+    `action_space="continuous"`, `Box(-1, 1, (3,))`: drive (fraction of the full speed, which is 0.8
+    units / s forward and 0.6 back), turn (fraction of 2.5 rad / s, left is positive) and grip (-1
+    open, 1 closed). The 18 discrete actions correspond to points in this space, which produce the
+    same motions to the last bit (`scene.to_continuous`).
 
     ## Observation space
     By default a dict of the views `allo` and `ego`, 384 x 384 x 3 uint8; see `observe.PixelSpec`
@@ -51,7 +51,7 @@ class MagicalEnv(gym.Env[Any, Any]):
     `eval_score` and `published_code_score` at every step, as in the published environments: 0.0
     before the last step, then the final state's scores (`scores()` has the current state's).
     `is_success`, whether the score is above 0.5 (`tasks.programs.SUCCESS`), False before the last
-    step. `instruction` at `reset`: what is to be done, in English (`Task.instruction`).
+    step. `instruction` at `reset`: what to do, in English (`Task.instruction`).
 
     Args:
         task: the task's name.
@@ -70,11 +70,11 @@ class MagicalEnv(gym.Env[Any, Any]):
     Raises:
         UnknownNameError: there is no such task, variant, observation, reward, render mode,
             instruction or action space.
-        InvalidConfigError, ObservationError: an impossible horizon or observation.
+        InvalidConfigError, ObservationError: an invalid horizon or observation.
         MissingDependencyError: "human" without pygame.
     """
 
-    # Of the class, as Gymnasium reads it, which declares it as an instance's.
+    # A class attribute, as Gymnasium reads it, although Gymnasium declares it on instances.
     metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]
         "render_modes": ["rgb_array", "human"],
         "render_fps": int(CONTROL_RATE),
@@ -155,9 +155,9 @@ class MagicalEnv(gym.Env[Any, Any]):
 
         Raises:
             InvalidActionError: not an integer from 0 to 17, or for continuous actions not three
-                numbers from -1 to 1; nothing has happened.
+                numbers from -1 to 1; the episode is unchanged.
             ResetNeededError: before the first reset, or after the episode's end.
-            InvalidScoreError: the task's score at the episode's end is no number from 0 to 1.
+            InvalidScoreError: the task's score at the episode's end is not a number from 0 to 1.
         """
         if not self._running:
             raise ResetNeededError(
@@ -173,8 +173,8 @@ class MagicalEnv(gym.Env[Any, Any]):
     def render(self) -> Any:
         """Both views side by side, egocentric left: uint8 (384, 768, 3).
 
-        `None` with "human", where `reset` and `step` show each frame, and without a render mode,
-        which is warned of.
+        Returns `None` with "human", where `reset` and `step` show each frame, and without a render
+        mode, with a warning.
         """
         if self.render_mode is None:
             gym.logger.warn(
@@ -208,7 +208,7 @@ class MagicalEnv(gym.Env[Any, Any]):
         return self._episode.scores()
 
     def get_state(self) -> dict[str, Any]:
-        """Plain data, fit for JSON, from which `set_state` continues bit-equally.
+        """JSON-compatible data from which `set_state` continues identically, to the last bit.
 
         It holds the scene, the dynamics, the actions so far and the random generator's state.
         """
@@ -249,7 +249,7 @@ class MagicalEnv(gym.Env[Any, Any]):
 
 
 def not_picklable(name: str, constructor: str) -> NotPicklableError:
-    """The error of pickling or copying an environment."""
+    """The error for an attempt to pickle or copy an environment."""
     return NotPicklableError(
         f"{name} cannot be pickled or copied: its simulation is not plain data; make another one "
         f"with {constructor}, and carry the episode over with get_state and set_state"
@@ -257,7 +257,7 @@ def not_picklable(name: str, constructor: str) -> NotPicklableError:
 
 
 def score_info(scores: Scores) -> dict[str, Any]:
-    """The keys that every `info` has."""
+    """The entries that every `info` has."""
     values = dict(zip(SCORE_KEYS, (scores.score, scores.published_code), strict=True))
     return {**values, "is_success": scores.is_success}
 

@@ -43,9 +43,9 @@ class Scores:
 
 
 class Episode:
-    """A task's variant in progress, observed by an observer.
+    """An episode of a task's variant, observed by an observer.
 
-    Nothing is checked here that would cost time at every step; the environments do that.
+    Checks that would cost time at every step are left to the environments.
     """
 
     def __init__(
@@ -72,15 +72,15 @@ class Episode:
     def start(self, rng: np.random.Generator, options: Mapping[str, Any] | None = None) -> None:
         """Start an episode from a sampled scene, or from the one in `options`.
 
-        `nudge` then shifts the initial poses by up to so many units and radians, sampled from
-        `rng` (docs/determinism.md).
+        The option `nudge` then shifts the initial poses by up to that many units and radians,
+        sampled from `rng` (docs/determinism.md).
 
         Raises:
-            InvalidSceneError: an impossible scene.
+            InvalidSceneError: no episode can start from the scene.
             InvalidConfigError: unknown options, or a nudge that is not from 0 to `MAX_NUDGE`.
-            PlacementError: no scene that fits the task was sampled, or none after a nudge.
+            PlacementError: no scene that fits the task was found, or none after a nudge.
         """
-        # A restored episode may have had others.
+        # A restored episode may have had other values.
         self.horizon, self.variant = self._own
         scene, dynamics = self.task.sample(self.variant, rng)
         chosen = options or {}
@@ -127,18 +127,18 @@ class Episode:
         """The current state's scores; raises `InvalidScoreError`."""
         task, scene, poses = self.task, self.simulation.scene, self.poses
         score = _checked_score(task, "score", task.score(scene, poses))
-        if task.published_score_fn is None:  # the rules are one
+        if task.published_score_fn is None:  # both rules are the same
             return Scores(score, score)
         published = task.published_code_score(scene, poses)
         return Scores(score, _checked_score(task, "published code's score", published))
 
     def state(self) -> State:
-        """The true state, a copy."""
+        """A copy of the true state."""
         scene, bodies = self.simulation.scene, self.bodies.copy()
         return State(scene, Poses(bodies[:, :3]), bodies[:, 3:], len(self.actions), self.horizon)
 
     def save(self, rng: np.random.Generator) -> dict[str, Any]:
-        """Plain data from which `restore` continues bit-equally: the start and all actions.
+        """Plain data from which `restore` continues identically: the start and all actions.
 
         Poses and velocities alone would not be enough: the solver keeps impulses between steps.
         """
@@ -154,9 +154,9 @@ class Episode:
         }
 
     def restore(self, state: SavedState) -> None:
-        """Continue from a saved state, by simulating its actions again, to the state's horizon.
+        """Continue from a saved state by simulating its actions again.
 
-        Its variant is the episode's until the next start.
+        Its horizon and variant are the episode's until the next start.
 
         Raises `InvalidStateError` if this episode's observation cannot show its scene.
         """

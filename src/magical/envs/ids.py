@@ -15,8 +15,8 @@ VERSION = "v0"
 class EnvId(str):
     """An environment id: a string with its parts as attributes.
 
-    It is made once, by `parse_env_id`, where a string enters the package, and passed on as it is;
-    as a string it prints, compares and serialises like the id itself.
+    It is made once, by `parse_env_id`, where a string enters the package, and then passed on
+    unchanged; being a string, it prints, compares and serialises like the id itself.
 
     Attributes:
         task: the task's name.
@@ -47,14 +47,14 @@ class EnvId(str):
 
     @property
     def task_spec(self) -> Task:
-        """The task itself; raises `UnknownNameError` where it is not registered."""
+        """The task itself; raises `UnknownNameError` if it is not registered."""
         return get_task(self.task)
 
 
 def split_env_id(env_id: str) -> EnvId:
     """Split an id without checking its names (the leading `magical/` may be missing).
 
-    Raises `UnknownNameError` for text of another format.
+    Raises `UnknownNameError` for text in another format.
     """
     if isinstance(env_id, EnvId):
         return env_id
@@ -74,8 +74,8 @@ def split_env_id(env_id: str) -> EnvId:
 def parse_env_id(env_id: str) -> EnvId:
     """Split an id and check its names (the leading `magical/` may be missing).
 
-    An `EnvId` is returned as it is. Raises `UnknownNameError` that names the unknown part and what
-    there is instead.
+    An `EnvId` is returned unchanged. Raises `UnknownNameError`, which names the unknown part and
+    the alternatives.
     """
     if isinstance(env_id, EnvId):
         return env_id
@@ -90,7 +90,10 @@ def parse_env_id(env_id: str) -> EnvId:
 
 
 def all_env_ids(presets: bool = False) -> list[EnvId]:
-    """The ids of all tasks and variants; with `presets`, those with presets as well."""
+    """The ids of all variants of all tasks, except generated tasks.
+
+    With `presets`, the ids with each preset as well.
+    """
     return [
         EnvId(task.name, variant, preset)
         for task in TASKS.values()

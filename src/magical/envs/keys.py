@@ -1,4 +1,4 @@
-"""Keys that are held down, and the action they stand for.
+"""Keys that are held down, and the action they produce.
 
 A person steers with five controls: forward, back, left, right and grip.
 """
@@ -10,7 +10,7 @@ from magical.scene.actions import ACTIONS, Action, Gripper, Longitudinal, Turn
 
 
 class Control(StrEnum):
-    """What a key, a touch button or a gamepad's button is for."""
+    """What a key, a touch button or a gamepad button does."""
 
     FORWARD = "forward"
     BACK = "back"
@@ -35,7 +35,7 @@ def action_of(held: Collection[Control]) -> int:
 
 
 def controls_of(action: int) -> tuple[Control, ...]:
-    """The fewest controls that stand for an action: driving, turning, gripping."""
+    """The fewest controls that produce an action, in the order driving, turning, gripping."""
     longitudinal, turn, gripper = ACTIONS[action]
     drives = [control for control, value in _DRIVE.items() if value == longitudinal]
     turns = [control for control, value in _TURN.items() if value == turn]
@@ -45,7 +45,7 @@ def controls_of(action: int) -> tuple[Control, ...]:
 # The keys of `gymnasium.utils.play`: w and s drive, a and d turn, space closes the fingers.
 _KEYS = dict(zip(Control, ("w", "s", "a", "d", " "), strict=True))
 
-# Every combination of keys held down, each with its action; no keys, no-op.
+# The fewest keys held down for each action except the no-op, which needs none.
 KEYS_TO_ACTION: dict[tuple[str, ...], int] = {
     tuple(_KEYS[control] for control in controls_of(action.id)): action.id
     for action in ACTIONS

@@ -1,4 +1,4 @@
-"""Registration with Gymnasium; it imports no environment."""
+"""Registration with Gymnasium, without importing any environment."""
 
 import warnings
 from itertools import product
@@ -20,10 +20,10 @@ PUBLISHED_ID = "magical.envs.registration:make_by_published_id"
 
 
 def register_envs(task: str) -> None:
-    """Register a task's environments by its name, each variant without and with every preset.
+    """Register a task's environments: each variant, without a preset and with each preset.
 
-    Of a task of another distribution that is not imported yet, all variants are registered; an
-    environment of one that it lacks raises `UnknownNameError` when it is made.
+    For a task of another distribution that is not imported yet, all variants are registered; making
+    an environment of a variant that the task lacks raises `UnknownNameError`.
 
     The environment truncates at its horizon and checks the order of calls itself, so Gymnasium's
     `TimeLimit` and `OrderEnforcing` wrappers are not used.
@@ -34,9 +34,9 @@ def register_envs(task: str) -> None:
 
 
 def register_all() -> None:
-    """Register the environments of every known task; no other distribution is imported.
+    """Register the environments of `TASKS` and of the suite; no other distribution is imported.
 
-    Tasks of the appendix are registered by the ids of the published package as well.
+    Tasks of the appendix are also registered under the ids of the published package.
     """
     for task in (*TASKS, *map(task_name, SUITE)):
         register_envs(task)
@@ -49,7 +49,7 @@ def register_all() -> None:
 
 
 def _add(env_id: str, entry_point: str, vector_entry_point: str, kwargs: dict[str, Any]) -> None:
-    """Add an environment, unless the id is taken: as long as it is a task of this name, it is that.
+    """Add an environment unless its id is taken: entries name their task, so they stay valid.
 
     `gymnasium.register` compares each id with all others, which takes seconds for thousands.
     """
@@ -64,7 +64,7 @@ def _add(env_id: str, entry_point: str, vector_entry_point: str, kwargs: dict[st
 
 
 def make_by_published_id(new_id: str, num_envs: int | None = None, **options: Any) -> Any:
-    """What `gymnasium.make` and `make_vec` return for an id of the published package."""
+    """The entry point of `gymnasium.make` and `make_vec` for ids of the published package."""
     from magical.envs.env import MagicalEnv
     from magical.envs.vector import make_vector_env
 
@@ -75,7 +75,7 @@ def make_by_published_id(new_id: str, num_envs: int | None = None, **options: An
     return make_vector_env(num_envs=num_envs, **options)
 
 
-# Where Gymnasium looks for render modes; as `MagicalEnv`'s.
+# Gymnasium looks for render modes here; they are those of `MagicalEnv`.
 make_by_published_id.metadata = {  # type: ignore[attr-defined]
     "render_modes": ["rgb_array", "human"]
 }

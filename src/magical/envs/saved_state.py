@@ -1,4 +1,4 @@
-"""Saved states of an episode, as plain data from outside: checked before anything is done."""
+"""Saved states of an episode: plain data from outside, checked before it is used."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -18,7 +18,7 @@ from magical.tasks import MAX_HORIZON, Task
 from magical.untrusted import convert
 
 _Part = Annotated[float, Meta(ge=-1.0, le=1.0)]  # of a continuous action
-_WORD = 1 << 128  # the integers in the random generator's state are below it
+_WORD = 1 << 128  # the integers in the random generator's state are below this
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +33,7 @@ class _Words:
 
 @dataclass(frozen=True, slots=True)
 class _Generator:
-    """The state of a PCG64 generator, as NumPy has it."""
+    """The state of a PCG64 generator, as NumPy represents it."""
 
     bit_generator: Literal["PCG64"]
     state: _Words
@@ -51,7 +51,7 @@ class _Point(Struct, array_like=True, frozen=True, forbid_unknown_fields=True):
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """The plain data of a saved state, as `Episode.save` makes it."""
+    """The plain data of a saved state, as `Episode.save` returns it."""
 
     task: str
     variant: str
@@ -77,18 +77,18 @@ class SavedState:
 
 
 def parse_state(data: Any, task: Task, spec: ActionSpec) -> SavedState:
-    """A saved state from plain data, as `MagicalEnv.get_state` returns it.
+    """Parse a saved state from plain data, as `MagicalEnv.get_state` returns it.
 
-    The scene is held to the same conditions as one that `reset` is given, but for the nudge that it
-    may have had since. Nothing is simulated.
+    The scene must meet the same conditions as one given to `reset`, except that it may already have
+    been nudged. Nothing is simulated.
 
     Args:
         data: plain data; nothing else is assumed about it.
-        task: the task that the state must be of.
+        task: the task that the state must belong to.
         spec: the action space that the actions are converted to.
 
     Raises:
-        InvalidStateError: a field is missing, of a wrong type or out of range; names the field.
+        InvalidStateError: names a field that is missing, of a wrong type or out of range.
     """
     record: Record = convert(data, Record, "saved state", InvalidStateError)
     if record.task != task.name:

@@ -1,4 +1,4 @@
-"""Stable-Baselines3's vector environment over ours; only this module needs Stable-Baselines3."""
+"""An adapter to Stable-Baselines3's `VecEnv`; only this module needs Stable-Baselines3."""
 
 from collections.abc import Iterable, Sequence
 from typing import Any
@@ -25,7 +25,7 @@ class MagicalSB3VecEnv(VecEnv):
     returns the next episode's first observation, and `infos[i]` holds the last one as
     `terminal_observation`, `TimeLimit.truncated` (always True: episodes end at the horizon only)
     and the scores (0.0 in all other infos). Images keep their layout; Stable-Baselines3 transposes
-    channels-last images itself where its networks need it.
+    channels-last images itself if its networks need it.
 
     `get_attr` returns attributes of the vector environment, and for `env_ids` each
     sub-environment's own. `env_method` calls methods that take an index (`get_state`,
@@ -33,7 +33,7 @@ class MagicalSB3VecEnv(VecEnv):
 
     Args:
         envs: made with `autoreset_mode="SameStep"`, and with `reward="score"` or `"dense"` if
-            a policy is to be trained on rewards.
+            a policy will be trained on rewards.
 
     Raises `ValueError` for another autoreset mode, and for `copy=False`: Stable-Baselines3 keeps
     observations beyond the next step.
@@ -56,7 +56,7 @@ class MagicalSB3VecEnv(VecEnv):
         self.metadata = {**self.metadata, "render_fps": envs.metadata["render_fps"]}
 
     def reset(self) -> Any:
-        """Start an episode in every sub-environment, with the seeds and options set before."""
+        """Start an episode in every sub-environment, with the seeds and options set beforehand."""
         first = self._options[0]
         if any(options != first for options in self._options):
             raise ValueError("reset options: expected the same for all environments; see set_state")

@@ -1,6 +1,6 @@
-"""Seeds of episodes: those of evaluation, and those of demonstrations and training.
+"""Episode seeds for evaluation, for demonstrations and for training.
 
-Seeds from `FIRST_EVALUATION_SEED` upwards are evaluation's (docs/protocol.md).
+Seeds from `FIRST_EVALUATION_SEED` upwards are reserved for evaluation (docs/protocol.md).
 """
 
 import numpy as np
@@ -18,11 +18,11 @@ def evaluation_seed(rollout: int, seed: int = 0) -> int:
 
 
 def episode_seed(seed: int, episode: int) -> int:
-    """The seed of episode number `episode` of a series of demonstrations, below evaluation's."""
+    """The seed of episode number `episode` in a series of demonstrations, below evaluation's."""
     return int(np.random.default_rng([seed, episode]).integers(FIRST_EVALUATION_SEED))
 
 
 def sample_training_seeds(rng: np.random.Generator, count: int) -> list[int]:
-    """Seeds of `count` training episodes, below evaluation's range."""
+    """Sample the seeds of `count` training episodes, below evaluation's range."""
     seeds: list[int] = rng.integers(FIRST_EVALUATION_SEED, size=count).tolist()
     return seeds

@@ -14,7 +14,7 @@ class Window:
 
         Args:
             title: of the window.
-            rate: frames per second at most; `show` waits for it.
+            rate: maximum frames per second; `show` waits to keep to it.
         """
         require("window")
         import pygame
@@ -31,7 +31,7 @@ class Window:
             pygame.display.init()
             self._surface = pygame.display.set_mode((frame.shape[1], frame.shape[0]))
             pygame.display.set_caption(self._title)
-        pygame.event.pump()  # else the system takes the window for one that hangs
+        pygame.event.pump()  # otherwise the system considers the window unresponsive
         pygame.surfarray.blit_array(self._surface, frame.swapaxes(0, 1))
         pygame.display.flip()
         self._clock.tick(self._rate)

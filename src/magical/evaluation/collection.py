@@ -1,7 +1,7 @@
 """Many evaluated runs in two files: `entries.json` and `scores.csv.gz` (docs/protocol.md).
 
-What `entry.json` says of each run, by name, and the rows of all `scores.csv` with the name before
-them: a collection of a hundred runs takes a hundredth of the space that their folders do.
+`entries.json` holds each run's `entry.json` by name, `scores.csv.gz` the rows of all `scores.csv`,
+each preceded by the name. A hundred runs take a hundredth of the space of their folders.
 """
 
 import csv
@@ -45,10 +45,10 @@ def write_collection(folder: Path, entries: Mapping[str, Entry]) -> None:
 
 
 def read_collection(folder: Path) -> dict[str, Entry | ScoresError]:
-    """Every entry by name, or what is wrong with it.
+    """Read every entry by name; for a damaged one the value is its error.
 
     Raises:
-        ScoresError: a file is missing or damaged; says which and what was expected.
+        ScoresError: a file is missing or damaged; the message says which and what was expected.
     """
     stated = read_json(
         folder / ENTRIES_FILE, dict[str, dict[str, Any]], ScoresError, max_bytes=MAX_BYTES
@@ -68,7 +68,7 @@ def _entry(
 
 
 def _read_scores(path: Path) -> dict[str, list[RolloutScore]]:
-    """The rows by entry."""
+    """The rows of each entry, by its name."""
     scores: dict[str, list[RolloutScore]] = {}
     try:
         with (

@@ -24,7 +24,7 @@ from magical.tasks.horizons import APPENDIX
 from magical.untrusted import convert, parse_json, read_json
 
 POLICY = "policy"  # in the details: a run folder relative to the entry's, or a policy's name
-THREADS = "threads"  # in the details: CPU threads of a network that acted
+THREADS = "threads"  # in the details: CPU threads that the acting network used
 SCORES_FILE, ENTRY_FILE = "scores.csv", "entry.json"
 
 Text = Annotated[str, Meta(max_length=200)]
@@ -57,24 +57,24 @@ class _EntryFile:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Entry(_EntryFile):
-    """One training run's evaluation: how it was made, and every rollout's score.
+    """One training run's evaluation: how it was done, and every rollout's score.
 
     Entries with the same `row` are runs of one method and share a row of the tables.
 
     Attributes:
-        method: the name in tables.
-        scores: of every rollout.
+        method: the method's name in tables.
+        scores: the score of every rollout.
         observation: what the policy was shown.
         privileged: whether that was the true state.
         horizon: `appendix`, `published`, or a number of control steps.
         nudge: the largest shift of initial poses, in units and radians.
         seed: which set of fixed seeds.
-        version: of this package.
+        version: the version of this package.
         details: demonstrations, training, authors, ...
 
     Raises:
-        ScoresError, InvalidConfigError, ValueError: a text that cannot be printed, an impossible
-            horizon or nudge.
+        ScoresError: unprintable text, or an empty method name.
+        InvalidConfigError: an invalid horizon or nudge.
     """
 
     scores: Sequence[RolloutScore] = field(repr=False)
@@ -89,9 +89,9 @@ class Entry(_EntryFile):
         scores: Sequence[RolloutScore] = (),
         details: dict[str, Any],
     ) -> Self:
-        """The entry of a policy that is evaluated so; raises as the class does.
+        """The entry for an evaluation of a policy; raises what the class raises.
 
-        Its details have the `action_space`, unless that is the discrete one of the benchmark.
+        `action_space` is added to the details unless it is the benchmark's discrete one.
         """
         task = evaluation.env_ids[0].task_spec
         observation, privileged = observed(policy, evaluation.observation, task)
@@ -116,12 +116,12 @@ class Entry(_EntryFile):
         return f"{self.method}, nudge {self.nudge:g}" if self.nudge else self.method
 
     def evaluation(self, policy: Policy) -> Evaluation:
-        """How its policy is evaluated in the same way again."""
+        """The evaluation to repeat with the entry's policy."""
         env_ids = tuple(dict.fromkeys(row.env_id for row in self.scores))
         observation: Observation = None
-        # The recorded one counts only where the policy has no observation of its own.
+        # The recorded observation is used only if the policy does not state its own.
         if getattr(policy, "observation", None) is None:
-            with suppress(MagicalError):  # none that is known here
+            with suppress(MagicalError):  # not an observation that is known here
                 spec = parse_spec(self.observation, env_ids[0].task_spec)
                 observation = spec if self.observation.startswith("{") else self.observation
         return Evaluation(
@@ -136,8 +136,8 @@ class Entry(_EntryFile):
     def write(self, folder: Path | str) -> None:
         """Write both files.
 
-        Of an entry of the same method and policy that the folder already holds, the details that
-        this one lacks are kept. Raises what `check_writable` raises, before anything is written.
+        If the folder already holds an entry of the same method and policy, its details that this
+        one lacks are kept. Raises what `check_writable` raises, before anything is written.
         """
         text = self._json(Path(folder) / ENTRY_FILE)
         write_scores(self.scores, Path(folder) / SCORES_FILE)
@@ -145,17 +145,17 @@ class Entry(_EntryFile):
             file.write(text.encode())
 
     def check_writable(self, folder: Path | str) -> None:
-        """Check, before scores are computed, that `write` will not be refused.
+        """Check that `write` would accept this entry, before its scores are computed.
 
         Raises:
             ScoresError: a field that `read_entry` would refuse, or a damaged entry in the folder.
-            TypeError: details that are not JSON.
+            TypeError: details that cannot be written as JSON.
         """
         self._json(Path(folder) / ENTRY_FILE)
 
     @property
     def stated(self) -> dict[str, Any]:
-        """All but the scores, as plain data: what `entry.json` holds."""
+        """All fields except the scores, as plain data: what `entry.json` holds."""
         return {field.name: getattr(self, field.name) for field in fields(_EntryFile)}
 
     def _json(self, target: Path) -> str:
@@ -177,8 +177,8 @@ def read_entry(folder: Path | str) -> Entry:
     """Read what `Entry.write` wrote, and check it against the protocol.
 
     Raises:
-        ScoresError: a file is missing or damaged, or the rollouts are not the protocol's; says
-            which and what was expected.
+        ScoresError: a file is missing or damaged, or the rollouts are not the protocol's; the
+            message says which and what was expected.
     """
     source = Path(folder)
     for name in (SCORES_FILE, ENTRY_FILE):
@@ -195,7 +195,7 @@ def read_entry(folder: Path | str) -> Entry:
 def make_entry(
     data: dict[str, Any], scores: Sequence[RolloutScore], stated_in: str, scored_in: str
 ) -> Entry:
-    """An entry of what `entry.json` holds; raises `ScoresError` with the name of what is wrong."""
+    """Make an entry from the data of `entry.json`; raises `ScoresError` naming what is wrong."""
     read = convert(data, _EntryFile, stated_in, ScoresError)
     try:
         check_protocol(scores, read.seed)

@@ -16,15 +16,15 @@ class ExpertPolicy:
     """Each environment's scripted expert, with a strategy sampled for every episode.
 
     Args:
-        skill: 1 acts as well as it can; below, it makes mistakes.
+        skill: at 1 the expert acts as well as it can; below 1 it makes mistakes.
         random_share: the share of each episode, from its start, in which actions are uniformly
-            random; then the expert takes over from wherever that led.
-        action_space: "continuous" returns the same actions as points of that space.
+            random; the expert then takes over from the state that this led to.
+        action_space: with "continuous", the same actions are returned as points of that space.
 
     Raises:
         InvalidConfigError: a share or skill outside [0, 1].
         NoExpertError: a task has no expert; raised by the first `act`.
-        UnknownNameError: there is no such action space.
+        UnknownNameError: an unknown action space.
     """
 
     privileged = True
@@ -48,7 +48,7 @@ class ExpertPolicy:
     def act(
         self, observations: Sequence[State], env_ids: Sequence[EnvId], rng: np.random.Generator
     ) -> Actions:
-        """Each expert's action in the present state."""
+        """Each expert's action in the current state."""
         if new := [row for row in range(len(env_ids)) if row not in self._experts]:
             seeds = rng.integers(2**31, size=len(env_ids)).tolist()
             for row in new:
@@ -72,5 +72,5 @@ class ExpertPolicy:
         return ExpertPolicy, (self.skill, self.random_share, self.action_space)
 
     def modules(self, tasks: Sequence[str]) -> list[str]:
-        """The modules from which a new process learns of the tasks' experts."""
+        """The modules that a new process must import to have the tasks' experts."""
         return sorted({module for task in tasks for module in modules_of(task)})

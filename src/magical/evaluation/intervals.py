@@ -1,6 +1,6 @@
 """Confidence intervals: Student's t over strata, Wilson's score interval, square-and-add.
 
-docs/protocol.md gives the formulas' sources.
+docs/protocol.md gives the sources of the formulas.
 """
 
 import math
@@ -14,13 +14,13 @@ from numpy.typing import ArrayLike, NDArray
 Floats = NDArray[np.float64]
 
 CONFIDENCE = 0.95
-TINY = 1e-12  # a variance that is only rounding
+TINY = 1e-12  # smaller variances are only rounding error
 
 
 class Interval(NamedTuple):
     """An estimate with its confidence interval.
 
-    `low` and `high` are NaN where there is no interval: one run does not show the spread of runs.
+    `low` and `high` are NaN if there is no interval: one run does not show the spread between runs.
     """
 
     value: float
@@ -35,13 +35,13 @@ def t_interval(
 
     Args:
         value: the estimate.
-        strata: what each run of a stratum contributes, (runs,); all together sum to the estimate,
-            or differ from it by a constant.
+        strata: for each stratum, the contributions of its runs, (runs,); all together they sum to
+            the estimate, or differ from it by a constant.
         confidence: nominal coverage.
-        bounds: the least and the greatest value that is possible.
+        bounds: the smallest and the largest possible value.
 
     Returns:
-        The interval with Welch's degrees of freedom; without bounds where a stratum has one run.
+        The interval with Welch's degrees of freedom; its ends are NaN if a stratum has one run.
     """
     freedom = [len(stratum) - 1.0 for stratum in strata]
     if not all(freedom):
@@ -61,10 +61,10 @@ def welch_interval(
 
     Args:
         value: the estimate.
-        variances: of the parts, (parts,).
-        freedom: degrees of freedom of each variance, or of all.
+        variances: the variances of the parts, (parts,).
+        freedom: degrees of freedom of each variance, or one number for all.
         confidence: nominal coverage.
-        bounds: the least and the greatest value that is possible.
+        bounds: the smallest and the largest possible value.
     """
     from scipy.special import stdtrit  # slow to import
 
@@ -81,7 +81,7 @@ def wilson_interval(value: float, count: float, confidence: float = CONFIDENCE) 
 
     Args:
         value: the mean of values from 0 to 1.
-        count: how many independent zeros and ones it is worth as much as.
+        count: the effective number of independent zeros and ones.
         confidence: nominal coverage.
     """
     _check_confidence(confidence)
@@ -97,16 +97,16 @@ def rollout_mean(scores: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
     """The mean of one policy's rollouts in one environment, with a Wilson interval.
 
     It does not include the spread between training runs. For scores of 0 and 1 it is Wilson's
-    interval (1927). In general it is that for the number of zeros and ones whose mean would vary as
-    much: rollouts x p (1 - p) / variance, as in surveys (Korn and Graubard, 1998). Where all scores
-    are equal, it is that for as many zeros and ones as there are rollouts.
+    interval (1927). In general it is Wilson's for an effective number of zeros and ones, whose mean
+    has the same variance: rollouts x p (1 - p) / variance, as in surveys (Korn and Graubard, 1998).
+    If all scores are equal, that number is the number of rollouts.
 
     Args:
         scores: (rollouts,), each from 0 to 1.
         confidence: nominal coverage of the interval.
 
     Raises:
-        ValueError: no such array, or scores outside [0, 1].
+        ValueError: an empty array or one of another shape, or scores outside [0, 1].
     """
     rollouts = np.asarray(scores, np.float64)
     if rollouts.ndim != 1 or not rollouts.size:
@@ -120,8 +120,9 @@ def rollout_mean(scores: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
 def weighted_sum(intervals: Sequence[Interval], weights: ArrayLike) -> Interval:
     """A weighted sum of independent estimates by square-and-add (Newcombe, 1998).
 
-    With weights 1 and -1 their difference, with 1 / n each the mean of n of them. An estimate's
-    distance to its lower bound counts where its weight is positive, to the upper where negative.
+    Weights of 1 and -1 give the difference of two, weights of 1 / n the mean of n. The lower bound
+    is computed from the estimates' distances to their lower bounds where weights are positive and
+    to their upper bounds where they are negative; the upper bound the other way round.
     """
     values, lows, highs = np.array(intervals).T
     factors = np.asarray(weights, np.float64)
@@ -137,6 +138,6 @@ def _check_confidence(confidence: float) -> None:
 
 
 def check_range(scores: Floats) -> None:
-    """Raise `ValueError` where scores are outside [0, 1]; NaN is let through."""
+    """Raise `ValueError` if scores are outside [0, 1]; NaN is allowed."""
     if (outside := scores[(scores < 0.0) | (scores > 1.0)]).size:
         raise ValueError(f"scores: expected values from 0 to 1, found {outside[0]:g}")

@@ -24,18 +24,18 @@ BUILT_IN: dict[str, Callable[[], Policy]] = {
 }
 
 
-# Who loads run folders. Found by name, as users' policies are: this package is below `learning` and
-# needs no PyTorch, which is imported when a run is loaded.
+# The function that loads run folders. It is imported by name, as users' policies are: this package
+# is below `learning` and does not need PyTorch, which is imported when a run is loaded.
 RUN_LOADER = "magical.learning:load_policy"
-GROUP = "magical.policies"  # of entry points of other distributions
-# And of functions that load the policies of another tool: `lerobot:PATH` is what that of the name
-# `lerobot` returns of PATH.
+GROUP = "magical.policies"  # the group of other distributions' entry points
+# The group for functions that load the policies of another tool: `lerobot:PATH` is what the one
+# named `lerobot` returns for PATH.
 LOADERS = "magical.policy_loaders"
 INTEGRATIONS = {"lerobot": "lerobot_env_magical"}  # in integrations/ of the repository, by loader
 
 
 class Acting(Protocol):
-    """An object with `act`: a `Policy`, or one without memory, which needs no `reset`."""
+    """An object with `act`: a `Policy`, or an object without memory, which needs no `reset`."""
 
     @property
     def act(self) -> Callable[..., Any]:
@@ -57,16 +57,17 @@ def load_policy(source: PolicySource) -> Policy:
               `magical.learning.load_policy` also chooses the device, or greedy actions);
             - `module:name` or `path/to/file.py:name`. The working directory is searched last for
               the module, and only if it is found nowhere else;
-            - a policy, or what such a name may stand for: an object with `act`, and `reset` if it
+            - a policy, or what such a name may refer to: an object with `act`, and `reset` if it
               has memory; a class or function that returns one when called without arguments; or a
               plain function `(observations, env_ids, rng) -> actions`.
 
     Raises:
-        UnknownNameError: a text of none of these forms.
+        UnknownNameError: a text in none of these forms.
         PluginError: the module or the name in it cannot be found.
         PolicyError: it is not a policy.
         RunFolderError, CheckpointError: the folder holds no run, or a damaged one.
-        MissingDependencyError: a run folder, without PyTorch; or a loader's distribution.
+        MissingDependencyError: PyTorch, for a run folder, or a loader's distribution is not
+            installed.
     """
     if not isinstance(source, str | os.PathLike):
         return _as_policy(source)
@@ -90,7 +91,8 @@ def load_policy(source: PolicySource) -> Policy:
 def policy_names() -> tuple[str, ...]:
     """The names in `BUILT_IN` and of other distributions' entry points; none is imported.
 
-    They come before folders of these names. An entry may have them loaded: they are installed.
+    They take precedence over folders with these names. Entries may have them loaded, since they
+    are installed.
     """
     return (*BUILT_IN, *plugins(GROUP))
 
@@ -131,7 +133,7 @@ def _needs_arguments(thing: Callable[..., Any]) -> bool:
 
 
 def _attribute(name: str) -> Any:
-    """What the name of an entry point, `module:name` or `file.py:name` stands for."""
+    """What the name of an entry point, `module:name` or `file.py:name` refers to."""
     module_name, _, attribute = name.rpartition(":")
     if name in plugins(GROUP) or (module_name and attribute):
         return load_plugin(GROUP, name)

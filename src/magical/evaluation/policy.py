@@ -26,13 +26,13 @@ NO_OBSERVATION = "nothing"  # the observation of a policy that needs none
 class Policy(Protocol):
     """Chooses actions for a batch of B environments.
 
-    A policy may also have these attributes; what is missing counts as `False` or `None`:
+    A policy may also have these attributes; missing ones count as `False` or `None`:
 
     - `privileged` (bool): it gets true states; `observations` is then a list of B `State`s.
     - `observation`: the observation it was made for, as in `gymnasium.make(..., observation=...)`;
       `"nothing"` for a policy that needs none: `observations` is then `None`.
     - `action_space`: the action space it was made for, `"discrete"` (the default) or
-      `"continuous"`; evaluated in environments of that.
+      `"continuous"`; it is evaluated in environments with that action space.
     - `tasks` (sequence of names): the tasks it was made for.
     - `in_processes` (bool): copies of it may act in several processes; it can be pickled.
     - `modules(tasks)`: the modules that such processes must import first.
@@ -54,13 +54,13 @@ class Policy(Protocol):
             rng: the only source of randomness to use.
 
         Returns:
-            Integers from 0 to 17, shape (B,); or continuous, floats from -1 to 1, shape (B, 3).
+            Integers from 0 to 17, shape (B,); continuous actions: floats from -1 to 1, (B, 3).
         """
 
     def reset(self, mask: Mask) -> None:
         """Reset the memory of the environments where `mask` (B,) is true: they begin an episode.
 
-        Called before the first `act`, with all true; the size of the batch may change then.
+        Called before the first `act`, with all true; the batch size may change then.
         """
 
 
@@ -77,8 +77,8 @@ def action_spec_of(policy: Policy) -> ActionSpec:
 def observation_for(policy: Policy, observation: Observation = None) -> Observation:
     """The observation to make environments with: the one given, the policy's own, or `LoRes4E`.
 
-    Nothing is rendered for a policy that gets true states, or nothing. Raises `PolicyError` if the
-    policy states another one than is given.
+    Nothing is rendered for a policy that gets true states or needs no observation. Raises
+    `PolicyError` if the policy states an observation other than the given one.
     """
     own = getattr(policy, "observation", None)
     if is_privileged(policy) or own == NO_OBSERVATION:
@@ -96,8 +96,8 @@ def observed(policy: Policy, observation: Observation, task: Task) -> tuple[str,
 
     Args:
         policy: see `Policy`.
-        observation: of its evaluation, as for `observation_for`.
-        task: that it is evaluated on.
+        observation: the observation of its evaluation, as for `observation_for`.
+        task: the task that it is evaluated on.
     """
     if getattr(policy, "observation", None) == NO_OBSERVATION and not is_privileged(policy):
         return NO_OBSERVATION, False
@@ -108,7 +108,7 @@ def observed(policy: Policy, observation: Observation, task: Task) -> tuple[str,
 
 
 def given_to(policy: Policy, envs: MagicalVectorEnv, observations: Any) -> Any:
-    """What `act` gets of environments that have returned these observations."""
+    """What `act` gets from environments that have returned these observations."""
     if is_privileged(policy):
         return envs.states()
     return None if getattr(policy, "observation", None) == NO_OBSERVATION else observations
@@ -129,7 +129,7 @@ class RandomPolicy:
 
 
 class NoopPolicy:
-    """The no-op at every step: the score of the scene itself."""
+    """The no-op at every step: its score is that of the initial scene."""
 
     observation = NO_OBSERVATION
     exact = True
@@ -145,7 +145,7 @@ class NoopPolicy:
 class FunctionPolicy:
     """A policy without memory from a function `(observations, env_ids, rng) -> actions`.
 
-    Its other attributes (see `Policy`) are those of the function, or of the object whose `act` that
+    Its other attributes (see `Policy`) are those of the function, or of the object whose `act` it
     is.
     """
 

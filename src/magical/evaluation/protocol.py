@@ -31,16 +31,16 @@ class Evaluation:
 
     Attributes:
         env_ids: the environments, without presets, each once.
-        rollouts: of each environment.
+        rollouts: the number of rollouts in each environment.
         seed: which set of fixed seeds.
-        observation: what the policy is shown; `None` for its own, or `LoRes4E`.
+        observation: what the policy is shown; `None` for its own or, if it has none, `LoRes4E`.
         horizon: control steps, "published", or `None` for the appendix's.
         nudge: the largest shift of initial poses, in units and radians: `NUDGE` for the
             leaderboard, 0 for comparison with published scores.
 
     Raises:
-        InvalidConfigError: an impossible horizon.
-        ValueError: no environment, a nudge or seed out of range, or less than one rollout.
+        InvalidConfigError: an invalid horizon or nudge.
+        ValueError: no environment, a negative seed, or fewer than one rollout.
     """
 
     env_ids: tuple[EnvId, ...]
@@ -55,21 +55,21 @@ class Evaluation:
             raise ValueError("env_ids: expected at least one environment, found none")
         if self.rollouts < 1:
             raise ValueError(f"rollouts: expected at least 1, found {self.rollouts}")
-        if self.seed < 0:  # below are the seeds of demonstrations and of training
+        if self.seed < 0:  # below 0 are the seeds of demonstrations and of training
             raise ValueError(f"seed: expected at least 0, found {self.seed}")
         object.__setattr__(self, "horizon", parse_horizon(self.horizon))
         object.__setattr__(self, "nudge", checked_nudge(self.nudge))
 
     @classmethod
     def of(cls, env_ids: Iterable[str], **settings: Any) -> Self:
-        """An evaluation in environments given by ids of any form, each of which counts once.
+        """An evaluation in environments given by ids of any form; duplicates count once.
 
-        One id alone may be given as it is.
+        A single id may be given as a string.
 
         Raises:
             UnknownNameError: an unknown environment or observation, or the published horizon for
-                tasks that have one horizon only.
-            InvalidConfigError, ValueError: as for the class; an id with another preset than the
+                tasks that have only one horizon.
+            InvalidConfigError, ValueError: as for the class; an id with a preset that is not the
                 observation.
         """
         given = [env_ids] if isinstance(env_ids, str) else env_ids
@@ -90,7 +90,7 @@ class Evaluation:
 
     @property
     def horizon_name(self) -> str:
-        """The horizon as text; `appendix` wherever the steps are as many as the appendix's."""
+        """The horizon as text; `appendix` if every task has the appendix's number of steps."""
         tasks = [env_id.task_spec for env_id in self.env_ids]
         same = all(task.resolve_horizon(self.horizon) == task.horizon for task in tasks)
         return format_horizon(None if same else self.horizon)
@@ -106,7 +106,7 @@ def environments(
 ) -> list[EnvId]:
     """Environment ids of the tasks' variants, by default all; short names are accepted.
 
-    One task or variant alone may be given as it is.
+    A single task or variant may be given as a string.
 
     Raises `UnknownNameError` for unknown names, and for a task with none of the variants.
     """

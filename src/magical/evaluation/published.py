@@ -50,7 +50,7 @@ def published_tasks() -> tuple[str, ...]:
 
 
 def published_score(task: str, method: str, variant: str) -> Spread | None:
-    """The published mean and standard deviation; `None` where the table has a dash.
+    """The published mean and standard deviation; `None` if the table has a dash.
 
     `variant` may be short (`Jitter`) or as in ids (`TestJitter`). Raises `UnknownNameError` for a
     task, method or variant that is not in the tables.
@@ -69,14 +69,14 @@ def published_score(task: str, method: str, variant: str) -> Spread | None:
 def difference_from_published(
     means: ArrayLike, published: Spread, confidence: float = CONFIDENCE
 ) -> Interval:
-    """The mean of our runs less the published mean, with Welch's t interval over runs.
+    """The mean of our runs minus the published mean, with Welch's t interval over runs.
 
     The published tables give a standard deviation over five runs, but not its divisor; the interval
-    takes the one that makes it wider (the number of runs). For one run there is no interval.
+    assumes the one that makes it wider (the number of runs). For one run there is no interval.
 
     Args:
         means: (runs,), each run's mean score in one environment, by the published code's rule.
-        published: the mean and standard deviation of the tables.
+        published: the mean and standard deviation from the tables.
         confidence: nominal coverage.
     """
     ours = np.asarray(means, np.float64)

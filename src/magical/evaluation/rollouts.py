@@ -41,20 +41,20 @@ def evaluate(
     workers: int | None = None,
     progress: Progress | None = None,
 ) -> list[RolloutScore]:
-    """Score a policy on environments, all variants of a task together.
+    """Score a policy in environments, all variants of a task together.
 
     Rollout i of every environment is reset with `evaluation_seed(i, seed)` (docs/protocol.md).
 
     Args:
         policy: a policy, or anything that `load_policy` accepts.
-        env_ids: ids, or one; by default all variants of the policy's own tasks, or of all tasks.
-        rollouts: of each environment.
+        env_ids: one or more ids; by default all variants of the policy's own tasks, or of all.
+        rollouts: the number of rollouts in each environment.
         seed: which set of fixed seeds; results are reported for 0.
         observation: by default the policy's own, or `LoRes4E`; states for a privileged policy.
-        horizon: control steps; `"published"` for those of the published tables, which must be
-            others for at least one of the tasks.
-        nudge: shift each rollout's initial poses by up to so many units and radians, sampled from
-            its seed; with 1e-9 Demo's score is no matter of rounding (docs/determinism.md).
+        horizon: control steps; `"published"` for those of the published tables, which must differ
+            from the appendix's for at least one of the tasks.
+        nudge: the largest shift of initial poses, in units and radians, sampled from each rollout's
+            seed; 1e-9 averages over what rounding decides on Demo (docs/determinism.md).
         num_envs: the most environments to step together (at least one for each environment id).
         workers: processes; by default one for each core. They step the environments, and for a
             policy with `in_processes` they run the policy too.
@@ -64,9 +64,9 @@ def evaluate(
         A score for each rollout, by environment in the given order, then by rollout.
 
     Raises:
-        PolicyError: no policy, or it returned something else than actions.
-        UnknownNameError: an unknown environment, observation or policy, or tasks with one horizon.
-        ValueError: a horizon, nudge or seed out of range, or less than one rollout.
+        PolicyError: not a policy, or it returned something other than actions.
+        UnknownNameError: an unknown environment, observation or policy, or no published horizon.
+        ValueError: a horizon, nudge or seed out of range, or fewer than one rollout.
     """
     loaded = load_policy(policy)
     evaluation = Evaluation.of(
@@ -88,7 +88,7 @@ def roll_out(
     workers: int | None = None,
     progress: Progress | None = None,
 ) -> list[RolloutScore]:
-    """The same from the record of an evaluation; raises what `evaluate` does during rollouts."""
+    """Like `evaluate`, for an `Evaluation`; raises what `evaluate` does during rollouts."""
     run = _in_processes if getattr(policy, "in_processes", False) else _in_this_process
     return _collect(run(policy, evaluation, num_envs, workers), evaluation, progress)
 
@@ -96,16 +96,16 @@ def roll_out(
 def evaluate_round(
     policy: Policy, evaluation: Evaluation, number: int, workers: int | None = None
 ) -> list[RolloutScore]:
-    """One round of an evaluation again: all rollouts that were run together with one of them.
+    """Repeat one round of an evaluation: all rollouts that were run together with a given one.
 
-    A network's arithmetic may depend on the size of the batch in the last bit, which can tip a
-    sampled action. A round is a batch as `evaluate` makes it by default, so on the same machine its
-    scores are the same.
+    The last bit of a network's arithmetic may depend on the batch size, which can change a sampled
+    action. A round is batched as `evaluate` does it by default, so on the same machine its scores
+    are the same.
 
     Args:
         policy: see `Policy`.
-        evaluation: of all environments of one task that the evaluation had, in its order.
-        number: of the rollout.
+        evaluation: restricted to one task, with all of its environments in the original order.
+        number: the number of the given rollout.
         workers: processes.
     """
     if getattr(policy, "in_processes", False):
@@ -135,7 +135,7 @@ def _collect(
 def _in_this_process(
     policy: Policy, evaluation: Evaluation, num_envs: int, workers: int | None
 ) -> Iterator[list[RolloutScore]]:
-    """The policy runs here, on all environments of a task at once; workers step them."""
+    """Run the policy here, on all environments of a task at once; workers step them."""
     for group in evaluation.by_task.values():
         with _Rollouts(policy, evaluation, group, num_envs, workers) as batch:
             yield from batch.run(range(evaluation.rollouts))
@@ -144,7 +144,7 @@ def _in_this_process(
 def _in_processes(
     policy: Policy, evaluation: Evaluation, num_envs: int, workers: int | None
 ) -> Iterator[list[RolloutScore]]:
-    """Copies of the policy run in several processes, each on a share of the rollouts."""
+    """Run copies of the policy in several processes, each on a share of the rollouts."""
     shares = [
         (env_id, range(first, min(first + SHARE, evaluation.rollouts)))
         for env_id in evaluation.env_ids
@@ -157,7 +157,7 @@ def _in_processes(
 
 
 def modules_for(policy: Policy | None, tasks: Sequence[str]) -> list[str]:
-    """The modules from which a new process learns of the tasks, and what the policy needs."""
+    """The modules that a new process must import to have the tasks, and those the policy needs."""
     needed = getattr(policy, "modules", None)
     return [*defining_modules(list(map(get_task, tasks))), *(needed(tasks) if needed else [])]
 
@@ -175,9 +175,9 @@ class RepeatedEvaluation:
     """An evaluation that is repeated, as during training: its environments are kept alive.
 
     Args:
-        policy: see `Policy`; not one that runs in processes of its own.
+        policy: see `Policy`; not one with `in_processes`.
         evaluation: how it is evaluated.
-        workers: processes in all; each task has at least one, or with 0 none.
+        workers: processes in total, at least one for each task; 0 for none.
     """
 
     def __init__(self, policy: Policy, evaluation: Evaluation, workers: int | None = None) -> None:
@@ -199,7 +199,7 @@ class RepeatedEvaluation:
         return _collect(parts, self._evaluation, None)
 
     def close(self) -> None:
-        """End the environments."""
+        """Close the environments."""
         self._stack.close()
 
 
@@ -210,9 +210,9 @@ def play(
     nudge: float = 0.0,
     active: Mask | None = None,
 ) -> Iterator[tuple[Any, dict[str, Any]]]:
-    """One episode in each sub-environment, or in the active ones, in step until they end.
+    """Play one episode in each active sub-environment (by default all), in lockstep.
 
-    Yields observations and infos of the reset, then of every step.
+    Yields the observations and infos of the reset, then of every step.
     """
     rng = RolloutRng(envs.env_ids, seeds)
     options = {"nudge": nudge} if nudge else None
@@ -232,10 +232,10 @@ def play(
 
 
 class _Rollouts:
-    """Environments of one task, each with several copies, whose episodes run in step.
+    """Environments of one task, each with several copies, whose episodes run in lockstep.
 
-    Episodes end at the horizon and never before, so all begin and end together. Where the last
-    round has fewer rollouts than copies, the remaining copies are inactive.
+    Episodes end at the horizon and never before, so all begin and end together. If the last round
+    has fewer rollouts than copies, the remaining copies are inactive.
     """
 
     def __init__(

@@ -60,7 +60,7 @@ def read_lines(
         ScoresError: another header, more lines than `MAX_ROWS`, or a line that is not CSV.
     """
     with io.TextIOWrapper(file, "utf-8", errors="replace", newline="") as text:
-        # A longer line comes in parts, which are no rows.
+        # A longer line is read in parts, which are not valid rows.
         lines = csv.reader(iter(partial(text.readline, MAX_LINE), ""))
         try:
             found = next(lines, [])
@@ -105,11 +105,11 @@ def check_protocol(scores: Iterable[RolloutScore], seed: int) -> None:
     """Check that every environment has the same rollouts, each once, with the protocol's seeds.
 
     Args:
-        scores: of one evaluation.
-        seed: which set of fixed seeds it was made with.
+        scores: the scores of one evaluation.
+        seed: which set of fixed seeds it used.
 
     Raises:
-        ScoresError: names the environment, and what is missing, duplicated or foreign.
+        ScoresError: the message names the environment, and what is missing, duplicated or wrong.
     """
     rollouts: dict[EnvId, set[int]] = {}
     for row in scores:
@@ -146,7 +146,7 @@ def by_variant(scores: Iterable[RolloutScore]) -> dict[str, dict[str, list[Rollo
 def summarise(scores: Iterable[RolloutScore]) -> dict[str, Any]:
     """Summarise scores as plain data: variant -> `mean`, `std`, `scores`, `published_code_mean`.
 
-    `std` is over rollouts (divisor: their number). Nested by task where there are several.
+    `std` is over rollouts (divisor: their number). Nested by task if there are several.
     """
     table = {
         task: {variant: _summary(rows) for variant, rows in cells.items()}

@@ -10,12 +10,12 @@ import numpy as np
 
 
 def rollout_stream(env_id: str, seed: int) -> tuple[int, int]:
-    """What seeds the random stream of a rollout that was reset with `seed`."""
+    """The numbers that seed the random stream of a rollout that was reset with `seed`."""
     return seed, zlib.crc32(env_id.encode())
 
 
 class RolloutRng(np.random.Generator):
-    """The generator that policies get: every row of the batch has a stream of its own.
+    """The generator that policies get: each row of the batch has its own stream.
 
     The methods of `ROW_METHODS` with `size=B` or `size=(B, ...)` and scalar parameters take row i
     from rollout i's stream, so the numbers do not depend on which environments are stepped

@@ -83,12 +83,12 @@ def over_rollouts(
 ) -> Interval:
     """The weighted sum of the environments' means, with an interval over the runs' rollouts.
 
-    It does not include the spread between training runs: for a method with one run only.
+    It does not include the spread between training runs, so it is for methods with only one run.
 
     Args:
-        runs: every run's rollouts, such as `Entry.scores`; each environment has some.
+        runs: every run's rollouts, such as `Entry.scores`, with at least one in each environment.
         env_ids: the environments.
-        weights: (environments,), such as 1 / environments, or `gap_weights`.
+        weights: (environments,), such as 1 / number of environments, or `gap_weights`.
 
     Raises:
         ValueError: an environment without a rollout.
@@ -107,8 +107,8 @@ def over_rollouts(
 def over_runs(scores: ArrayLike) -> Spread:
     """The paper's figure: mean and standard deviation over runs of the run means (appendix C).
 
-    `scores` (runs, rollouts) of one environment. The appendix does not give the divisor of the
-    standard deviation: here it is the number of runs.
+    `scores` has shape (runs, rollouts), for one environment. The appendix does not give the divisor
+    of the standard deviation; here it is the number of runs.
     """
     means = np.asarray(scores, np.float64).mean(axis=1)  # (runs,)
     return Spread(float(means.mean()), float(means.std()))
@@ -122,7 +122,7 @@ def mean(scores: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
         confidence: nominal coverage of the interval.
 
     Raises:
-        ValueError: no such array, scores outside [0, 1], or a row or column without a score.
+        ValueError: an array of another shape, scores outside [0, 1], or an all-NaN row or column.
     """
     table = _table(scores)
     return _weighted_means(table, np.full(table.shape[1], 1 / table.shape[1]), confidence)
@@ -131,7 +131,7 @@ def mean(scores: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
 def interquartile_mean(scores: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
     """The mean of the middle half of all scores, runs and environments pooled (rliable's IQM).
 
-    A quarter of the scores, rounded down, is left out at either end. The t interval over runs is
+    A quarter of the scores, rounded down, is left out at each end. The t interval over runs is
     that of Tukey and McLaughlin (1963): a run's contribution is the sum of its winsorised scores.
     Arguments and errors as for `mean`.
     """
@@ -145,7 +145,7 @@ def interquartile_mean(scores: ArrayLike, confidence: float = CONFIDENCE) -> Int
 
 
 def optimality_gap(scores: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
-    """By how much scores fall short of 1 on average; arguments and errors as for `mean`."""
+    """How far scores fall short of 1 on average; arguments and errors as for `mean`."""
     return mean(1.0 - _table(scores), confidence)
 
 
@@ -155,16 +155,16 @@ def generalisation_gap(
     variant: str = "TestAll",
     confidence: float = CONFIDENCE,
 ) -> Interval:
-    """Demo's mean score minus TestAll's, by task, then the mean over tasks.
+    """Demo's mean score minus TestAll's for each task, averaged over tasks.
 
     Args:
         scores: (runs, environments), see the module's docstring.
         env_ids: the columns' environments; tasks without both variants are left out.
-        variant: another test variant in TestAll's place gives the gap along that axis.
+        variant: a test variant other than TestAll gives the gap along that axis.
         confidence: nominal coverage of the t interval over runs.
 
     Raises:
-        ValueError: as for `mean`, or no task has both variants.
+        ValueError: as for `mean`, no task has both variants, or the number of ids is wrong.
     """
     table, weights = _table(scores), gap_weights(env_ids, variant)
     if table.shape[1] != len(weights):
@@ -178,9 +178,9 @@ def generalisation_gap(
 
 
 def gap_weights(env_ids: Sequence[str], variant: str = "TestAll") -> Floats:
-    """Weights (environments,) of the environments' means whose sum is the generalisation gap.
+    """Weights (environments,) with which the environments' means sum to the generalisation gap.
 
-    Raises `ValueError` where no task has both variants.
+    Raises `ValueError` if no task has both variants.
     """
     parsed = [parse_env_id(env_id) for env_id in env_ids]
     signs = {full_variant(variant): -1.0, "Demo": 1.0}
@@ -196,10 +196,10 @@ def gap_weights(env_ids: Sequence[str], variant: str = "TestAll") -> Floats:
 
 
 def difference(first: ArrayLike, second: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
-    """The mean of `first` less that of `second`, with Welch's t interval over runs.
+    """The mean of `first` minus that of `second`, with Welch's t interval over runs.
 
-    Both (runs, environments) with the same columns; the runs of the two are independent. Raises
-    `ValueError` as `mean` does, or where the columns differ in number.
+    Both have shape (runs, environments) and the same columns; their runs are independent. Raises
+    `ValueError` as `mean` does, or if their numbers of columns differ.
     """
     return contrast([first, second], (1.0, -1.0), confidence)
 
@@ -212,13 +212,13 @@ def contrast(
     With weights 1 and -1 it is the difference of two.
 
     Args:
-        tables: (runs, environments) of each method, with the same columns; their runs are
-            independent.
-        weights: of each method.
+        tables: the scores (runs, environments) of each method, with the same columns; their runs
+            are independent.
+        weights: the weight of each method.
         confidence: nominal coverage of the interval.
 
     Raises:
-        ValueError: as for `mean`, or the columns differ in number.
+        ValueError: as for `mean`, or the numbers of columns or of weights do not match.
     """
     checked = _tables(tables)
     size = checked[0].shape[1]
@@ -233,12 +233,13 @@ def contrast(
 def probability_of_improvement(
     first: ArrayLike, second: ArrayLike, confidence: float = CONFIDENCE
 ) -> Interval:
-    """How probably a run of `first` beats one of `second`, averaged over environments.
+    """The probability that a run of `first` beats one of `second`, averaged over environments.
 
     Ties count half, as in rliable. The interval is Wilson's for as many independent comparisons as
-    there are runs of the method with fewer: the average over all pairs varies no more than that of
-    comparisons without a run in common (Hoeffding, 1963, section 5). Strata add up. Arguments and
-    errors as for `difference`.
+    the method with fewer runs has runs: the average over all pairs varies no more than that over
+    comparisons without a run in common (Hoeffding, 1963, section 5). If no run is in two strata,
+    each stratum's number is multiplied by all environments / its environments; the least of them
+    counts. Arguments and errors as for `difference`.
     """
     a, b = _tables([first, second])
     won = [_share_won(x[~np.isnan(x)], y[~np.isnan(y)]) for x, y in zip(a.T, b.T, strict=True)]
@@ -251,10 +252,11 @@ def performance_profile(
 ) -> list[Interval]:
     """The share of runs that score above each threshold, averaged over environments.
 
-    The run-score distribution of Agarwal et al. (2021), section 4.1; the same as theirs where all
-    environments have as many runs. The intervals are Wilson's, as for `probability_of_improvement`:
-    a share varies no more than that of as many independent runs. There is one for each threshold
-    (not a band that holds for all at once), and none for single runs.
+    The run-score distribution of Agarwal et al. (2021), section 4.1; equal to theirs if all
+    environments have the same number of runs. The intervals are Wilson's, as for
+    `probability_of_improvement`: a share varies no more than that of as many independent runs. Each
+    holds for its threshold (they are not a band that holds for all at once); they are NaN if an
+    environment has a single run.
 
     Args:
         scores: (runs, environments), see the module's docstring.
@@ -315,7 +317,7 @@ def _contributions(table: Floats, weights: Floats) -> Floats:
 
 
 def _by_stratum(table: Floats, contributions: Floats) -> list[Floats]:
-    """The contributions of each stratum's runs, that is of rows with NaN at the same places."""
+    """The contributions of each stratum's runs: of the rows with NaN in the same columns."""
     strata = group_by(range(len(table)), lambda run: np.isnan(table[run]).tobytes())
     return [contributions[runs] for runs in strata.values()]
 
@@ -327,7 +329,7 @@ def _share_won(first: Floats, second: Floats) -> float:
 
 
 def _comparisons(first: Floats, second: Floats) -> float:
-    """Independent comparisons of runs that the probability of improvement is worth at least."""
+    """A lower bound on the independent comparisons that the probability of improvement is worth."""
     evaluated = ~np.isnan(np.concatenate([first, second]))  # (runs of both, environments)
     strata, sizes = np.unique(evaluated, axis=1, return_counts=True)  # columns with the same runs
     split = len(first)

@@ -1,4 +1,4 @@
-"""Whether an entry's scores are what its policy gets: a sample of its rollouts, run again."""
+"""Verifying an entry's scores by running a sample of its rollouts again."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -17,18 +17,18 @@ from magical.evaluation.rollouts import evaluate_round
 from magical.evaluation.scores import RolloutScore
 from magical.grouping import group_by
 
-TOLERANCE = 1e-9  # between scores that are the same
+TOLERANCE = 1e-9  # the largest difference between equal scores
 
 
 @dataclass(frozen=True, slots=True)
 class Verification:
-    """Scores of some rollouts as recorded and as they are now.
+    """Scores of a sample of rollouts, as recorded and as obtained now.
 
     Attributes:
-        recorded: the entry's.
-        again: of the same rollouts, in the same order.
-        exact: whether all must be equal. That is so unless a network acts, on another machine or
-            with other versions than the entry states: then the last bit of its arithmetic may tip
+        recorded: the entry's scores.
+        again: the new scores of the same rollouts, in the same order.
+        exact: whether all must be equal. They must unless a network acts on another machine or with
+            other versions than the entry states: then the last bit of its arithmetic may change
             sampled actions, and contact amplifies that.
     """
 
@@ -38,7 +38,7 @@ class Verification:
 
     @property
     def changes(self) -> NDArray[np.float64]:
-        """The scores now less the recorded ones, (rollouts, 2): by each rule of scoring."""
+        """The new scores minus the recorded ones, (rollouts, 2): by each scoring rule."""
         pairs = zip(self.recorded, self.again, strict=True)
         return np.array([np.subtract(_scores(now), _scores(old)) for old, now in pairs])
 
@@ -50,7 +50,7 @@ class Verification:
     def mean_changes(self, confidence: float = CONFIDENCE) -> Sequence[Interval]:
         """The mean change by the appendix's rule, then by the published code's.
 
-        With a t interval over rollouts, which has no bounds where there is only one.
+        Each has a t interval over rollouts, whose bounds are NaN if there is only one.
         """
         return [
             t_interval(float(changes.mean()), [changes / len(changes)], confidence, (-1.0, 1.0))
@@ -59,11 +59,12 @@ class Verification:
 
     @property
     def confirmed(self) -> bool:
-        """Whether the scores are what they would be.
+        """Whether the recorded scores are confirmed.
 
-        Unless all must be equal, the means of all, and of each environment that is not equal, must
-        not differ by more than chance, by either rule: `CONFIDENCE` is that of both rules, and of
-        all environments, together.
+        Unless all must be equal, the mean change over all rollouts, and over those of each
+        environment with a changed score, must be within chance by both rules. `CONFIDENCE` is that
+        of the two intervals over all rollouts together, and of all intervals of these environments
+        together.
         """
         if self.exact or self.equal == len(self.recorded):
             return self.equal == len(self.recorded)
@@ -74,7 +75,7 @@ class Verification:
         return all(change.low <= 0.0 <= change.high for change in changes)
 
     def by_environment(self) -> dict[EnvId, "Verification"]:
-        """The part of each environment."""
+        """The part for each environment."""
         pairs = group_by(zip(self.recorded, self.again, strict=True), lambda pair: pair[0].env_id)
         return {
             env_id: replace(self, recorded=[old for old, _ in part], again=[now for _, now in part])
@@ -99,14 +100,14 @@ def verify(
 
     Args:
         entry: the recorded scores.
-        policy: that they are said to be of.
-        rounds: how many of each task's rounds (`evaluate_round`) are run again.
-        rng: chooses them.
+        policy: the policy that is said to have obtained them.
+        rounds: how many of each task's rounds (`evaluate_round`) to run again.
+        rng: chooses the rounds.
         elsewhere: see `is_elsewhere`.
         workers: processes.
 
     Raises:
-        PolicyError: it is not shown what the entry says.
+        PolicyError: the policy is not shown what the entry says.
     """
     evaluation = entry.evaluation(policy)
     _check_policy(entry, policy, evaluation)
@@ -128,9 +129,10 @@ def verify(
 def is_elsewhere(
     details: Mapping[str, Any], machine: Mapping[str, str], versions: Mapping[str, str]
 ) -> bool:
-    """Whether an entry's details state a machine and versions, and others than these.
+    """Whether an entry's details state another machine or other versions than the given ones.
 
-    A machine's name may differ, and there may be more libraries now.
+    False if they do not state both. The machine's name may differ, and there may be additional
+    libraries now.
     """
     stated, libraries = details.get("machine"), details.get("versions")
     if not isinstance(stated, dict) or not isinstance(libraries, dict):
@@ -142,10 +144,10 @@ def is_elsewhere(
 
 
 def _check_policy(entry: Entry, policy: Policy, evaluation: Evaluation) -> None:
-    """Raise `PolicyError` where the policy is not shown what the entry says."""
+    """Raise `PolicyError` unless the policy is shown what the entry says."""
     shown, privileged = observed(policy, evaluation.observation, evaluation.env_ids[0].task_spec)
     if shown == NO_OBSERVATION:
-        return  # whatever an entry says that it was shown, it needs less
+        return  # it needs no more than whatever the entry says it was shown
     if privileged != entry.privileged:
         words = {True: "privileged", False: "not privileged"}
         raise PolicyError(

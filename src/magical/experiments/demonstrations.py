@@ -1,4 +1,4 @@
-"""The demonstrations of an experiment: a dataset of the user's, the scripted experts', or both."""
+"""The demonstrations of an experiment: the user's dataset, the scripted experts', or both."""
 
 import hashlib
 from collections import Counter
@@ -21,7 +21,7 @@ from magical.learning.config import DemonstrationSettings
 
 
 def generate_missing(folder: Path, tasks: Iterable[str], count: int, **settings: Any) -> None:
-    """Generate those of `count` expert demonstrations of each task's Demo variant that are missing.
+    """Generate expert demonstrations of each task's Demo variant until it has `count`.
 
     They are the same whether or not an earlier call was interrupted. `settings` are those of
     `magical.demos.generate.generate`.
@@ -39,9 +39,10 @@ def generate_missing(folder: Path, tasks: Iterable[str], count: int, **settings:
 
 
 def _next_attempt(folder: Path, seeds: Sequence[int | None], count: int) -> int:
-    """The number of the attempt after the last of those that gave some of `count` demonstrations.
+    """The number of the attempt after the one that gave the last of `seeds`.
 
-    Raises `DatasetError` where the last one's scene is none of the series.
+    `count` is the number of demonstrations wanted in all. Raises `DatasetError` if the last seed is
+    not in the series.
     """
     # Every call may drop MAX_DROPPED for each demonstration that it has to generate.
     for number in range((MAX_DROPPED + 1) * count * len(seeds) + 1):
@@ -54,11 +55,11 @@ def _next_attempt(folder: Path, seeds: Sequence[int | None], count: int) -> int:
 
 
 def require_same_demonstrations(runs: Sequence[PlannedRun], results: Results) -> None:
-    """Check that runs that are done learned from the dataset that the plan names now.
+    """Check that finished runs learned from the dataset that the plan names now.
 
     Raises:
         DatasetError: the dataset is damaged. A missing one is not read.
-        ResultsError: they learned from others.
+        ResultsError: they learned from other demonstrations.
     """
     for config in [run.config for run in runs if run.source.dataset][:1]:
         wanted = config.part(DemonstrationSettings)
@@ -68,12 +69,12 @@ def require_same_demonstrations(runs: Sequence[PlannedRun], results: Results) ->
 
 
 def open_dataset(runs: Sequence[PlannedRun], results: Results) -> Dataset | None:
-    """The dataset of the user's that runs learn from, if they learn from one.
+    """The user's dataset that runs learn from; `None` if they do not learn from one.
 
     Raises:
-        DatasetError: there is none, or a damaged one.
+        DatasetError: it is missing or damaged.
         DemonstrationsError: it has too few demonstrations for a run.
-        ResultsError: the results folder holds runs that learned from others.
+        ResultsError: the results folder holds runs that learned from other demonstrations.
     """
     counts, source, folder = _wanted(runs)
     if not source.dataset:
@@ -85,7 +86,7 @@ def open_dataset(runs: Sequence[PlannedRun], results: Results) -> Dataset | None
 
 
 def _wanted(runs: Iterable[PlannedRun]) -> tuple[dict[str, int], DemonstrationSource, str]:
-    """The most demonstrations of each task that a run learns from, their source, the dataset."""
+    """The most demonstrations of each task that any run needs, their source, and the dataset."""
     counts: dict[str, int] = {}
     source, folder = DemonstrationSource(), ""
     for run in runs:
@@ -102,7 +103,7 @@ def prepare_demonstrations(
     workers: int | None,
     progress: Callable[[int], None],
 ) -> Path | None:
-    """The dataset that the runs of a plan learn from; `None` if they learn from none.
+    """The dataset that the runs of a plan learn from; `None` if they need no demonstrations.
 
     `progress` is called after each demonstration that is generated.
 
@@ -132,7 +133,7 @@ def _generated(
     workers: int | None,
     progress: Callable[[int], None],
 ) -> Dataset:
-    """The scripted experts' demonstrations; those that are missing are generated."""
+    """The scripted experts' demonstrations; missing ones are generated."""
     assert source.expert_demos is not None
     parts = (f"{name.replace('_', '-')}-{value:g}" for name, value in source.generation.items())
     folder = results.path / DEMOS / "-".join([f"expert-{source.expert_demos}", *parts])
@@ -145,7 +146,7 @@ def _generated(
 
 
 def _pool(datasets: Sequence[Dataset], tasks: Iterable[str], folder: Path) -> None:
-    """Copy the Demo demonstrations of each task into one dataset, those of each dataset in turn.
+    """Copy each task's Demo demonstrations from the datasets, one after another, into one dataset.
 
     What an interrupted call has copied is kept. Within a task the order is always the same, and so
     is what a run samples.
@@ -159,9 +160,9 @@ def _pool(datasets: Sequence[Dataset], tasks: Iterable[str], folder: Path) -> No
 
 
 def _kept(folder: Path) -> list[ManifestEntry]:
-    """The Demo demonstrations of a dataset that need not exist.
+    """The Demo demonstrations of a dataset, which need not exist.
 
-    A kill between writing a file and listing it is mended.
+    If a process was killed between writing a file and listing it, the dataset is repaired.
     """
     return _demos(open_repaired(folder)) if folder.exists() else []
 
@@ -171,7 +172,7 @@ def _demos(dataset: Dataset) -> list[ManifestEntry]:
 
 
 def _require_enough(dataset: Dataset, counts: Mapping[str, int]) -> None:
-    """Raise `DemonstrationsError` unless the dataset has so many of each task."""
+    """Raise `DemonstrationsError` unless the dataset has at least these counts of each task."""
     found = Counter(entry.task for entry in _demos(dataset))
     for task, count in counts.items():
         if found[task] < count:
@@ -183,7 +184,7 @@ def _require_enough(dataset: Dataset, counts: Mapping[str, int]) -> None:
 
 
 def _require_same(dataset: Dataset, tasks: Iterable[str], results: Results) -> None:
-    """Record digests of the user's dataset, which must be those of earlier runs in the folder."""
+    """Record digests of the user's dataset, which must equal those of runs in the folder."""
     found = {task: _digest(dataset, task) for task in tasks}
     _require_known(found, dataset, results, "demonstrations")
 
@@ -206,7 +207,7 @@ def _digest(dataset: Dataset, task: str) -> str:
 
 
 def _digest_of_actions(dataset: Dataset, task: str) -> str:
-    """The same for generated ones, whose files differ in the time of recording."""
+    """The same for generated demonstrations, whose files differ in the time of recording."""
     digest = hashlib.sha256()
     for trajectory in dataset.filter(task=task, variant="Demo"):
         for column in (trajectory.actions, trajectory.labels):

@@ -18,11 +18,11 @@ from magical.experiments.status import RUNNING, STATES, RunStatus, Status, read_
 from magical.grouping import group_by
 from magical.progress import LINE_INTERVAL, print_line
 
-SHOWN = 20  # runs in progress or failed that are listed
+SHOWN = 20  # the most runs in progress, and the most failed ones, that are listed
 
 
 class Display:
-    """A table on standard error, refreshed while a plan is executed; lines without a terminal."""
+    """A table on standard error, refreshed while a plan runs; plain lines without a terminal."""
 
     def __init__(self, path: Path) -> None:
         """Create a display of the results folder `path`."""
@@ -48,7 +48,7 @@ class Display:
         self._print(f"{outcome.state}: {run}{took}{error}")
 
     def refresh(self) -> None:
-        """Show the present state, without a terminal every `LINE_INTERVAL` seconds."""
+        """Show the current state; without a terminal, only every `LINE_INTERVAL` seconds."""
         if self._live.is_started:
             self._live.update(status_table(read_status(self._path)), refresh=True)
         elif time.monotonic() - self._last_line > LINE_INTERVAL:
@@ -61,7 +61,7 @@ class Display:
 
 
 def status_table(status: Status) -> RenderableType:
-    """How far a plan is: counts by method, runs in progress, failed runs, time left."""
+    """The progress of a plan: counts by method, runs in progress, failed runs, time left."""
     table = Table("method", *STATES, "runs", box=None, header_style="bold")
     for column in table.columns[1:]:
         column.justify = "right"
@@ -74,7 +74,7 @@ def status_table(status: Status) -> RenderableType:
 
 
 def duration(seconds: float) -> str:
-    """For instance `2:03:20`."""
+    """A duration as text, for instance `2:03:20`."""
     return str(timedelta(seconds=round(seconds)))
 
 
@@ -85,7 +85,7 @@ def _add_row(table: Table, name: str, runs: Iterable[RunStatus]) -> None:
 
 
 def _summary(status: Status) -> str:
-    """How far a plan is, in a line."""
+    """The progress of a plan in one line."""
     failed = f", {status.counts[FAILED]} failed" if status.counts[FAILED] else ""
     left = status.seconds_left()
     return (

@@ -1,4 +1,4 @@
-"""What entries record about policies and their making, and the policies of entries."""
+"""What entries record about policies and how they were made; loading the policies of entries."""
 
 import os
 from contextlib import AbstractContextManager, nullcontext
@@ -14,7 +14,7 @@ from magical.runs.folder import RECORD, read_json
 from magical.runs.machine import provenance
 from magical.runs.sources import LEARNED_FROM, PRETRAINED_ON
 
-MAX_THREADS = 1024  # that an entry can ask for
+MAX_THREADS = 1024  # the most that an entry can ask for
 
 
 def evaluation_details(policy: str, out: Path) -> dict[str, Any]:
@@ -39,14 +39,14 @@ def evaluation_details(policy: str, out: Path) -> dict[str, Any]:
 
 
 def policy_of(folder: Path, entry: Entry, run: Path | None = None) -> Policy:
-    """The policy of an evaluated run: that of its run folder, or that of a name in `policy_names`.
+    """The policy of an evaluated run: from its run folder, or by a name in `policy_names`.
 
-    Other code that an entry names is not run, since entries come from anywhere.
+    Other code that an entry names is not run, since entries may come from anywhere.
 
     Args:
-        folder: the entry's.
+        folder: the entry's folder.
         entry: the entry.
-        run: its run folder if it names none; by default its own folder.
+        run: the run folder if the entry names none; by default `folder`.
 
     Raises:
         PolicyError: the entry has no such policy.
@@ -68,8 +68,8 @@ def policy_of(folder: Path, entry: Entry, run: Path | None = None) -> Policy:
 def recorded_threads(entry: Entry) -> AbstractContextManager[None]:
     """A context in which PyTorch uses as many CPU threads as in an entry's evaluation.
 
-    Another number may change the last bit of a network's arithmetic. Without a record, nothing
-    changes, and PyTorch is not imported.
+    Another number may change the last bit of a network's arithmetic. If the entry records no
+    number, nothing changes, and PyTorch is not imported.
     """
     number = entry.details.get(THREADS)
     if not isinstance(number, int) or not 1 <= number <= MAX_THREADS:

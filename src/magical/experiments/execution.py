@@ -1,4 +1,4 @@
-"""Executing the runs of a plan, wherever: which are started when, and what becomes of them."""
+"""Executing the runs of a plan, locally or on a cluster: when each is started, how each ends."""
 
 import shlex
 import time
@@ -35,12 +35,12 @@ from magical.learning.running.interrupts import Interrupts
 from magical.processes import ProcessPool, available_cores
 from magical.tasks import with_tasks
 
-TRIES = 3  # of a run that the cluster, not the run itself, has ended
+TRIES = 3  # of a run that was ended by the cluster, not by its own failure
 POLL = 1.0  # seconds between checks for signals, and between refreshes of the display
 
 
 class Executor(Protocol):
-    """A place where runs are finished."""
+    """A place where runs are executed."""
 
     def slots(self) -> int:
         """How many runs can be in progress at a time."""
@@ -56,7 +56,7 @@ class Executor(Protocol):
 
 
 class LocalExecutor:
-    """Processes on this machine, by default as many as the cores have room for their threads."""
+    """Processes on this machine, by default as many as there are cores for their threads."""
 
     def __init__(self, runs: Sequence[PlannedRun], results: Results, workers: int | None) -> None:
         threads = max((run.config.threads for run in runs), default=1)
@@ -89,7 +89,7 @@ class Resources:
 
     Attributes:
         executor: processes on this machine, or tasks of a Ray cluster.
-        address: of a Ray cluster; by default a running one on this machine, or a new one.
+        address: the address of a Ray cluster; by default one running on this machine, or a new one.
         workers: processes on this machine, local or of a new Ray cluster.
         gpus: the share of a GPU that Ray reserves for each run.
     """
@@ -102,14 +102,14 @@ class Resources:
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """What became of a plan's runs.
+    """How the runs of a plan ended.
 
     Attributes:
         out: the results folder.
-        counts: the number of runs by state: `done` and `failed`; the rest has not been finished.
-        total: the number of runs of the plan.
-        interrupted: by Ctrl-C or SIGTERM.
-        seconds: that each part of this execution took, by its name.
+        counts: the number of runs by state: `done` and `failed`; the rest are not finished.
+        total: the number of runs in the plan.
+        interrupted: whether Ctrl-C or SIGTERM was received.
+        seconds: how long each part of this execution took, by name.
     """
 
     out: Path
@@ -158,14 +158,14 @@ def execute(
     Ctrl-C and SIGTERM leave checkpoints and return; a second one interrupts at once.
 
     Args:
-        runs: of a plan.
+        runs: the runs of a plan.
         out: the results folder, new or of an earlier version of the plan.
         resources: where to execute them.
-        references: of the plan; they are evaluated on this machine, by cores that no run needs.
-        retry_failed: try those again that have failed; they continue from their last checkpoint.
+        references: the plan's reference policies; evaluated here, on cores that no run needs.
+        retry_failed: run failed runs again; they continue from their last checkpoint.
 
     Raises:
-        ResultsError: see `magical.experiments.results.opened`; no space is left.
+        ResultsError: see `magical.experiments.results.opened`; or no space is left.
         ClusterError: the Ray cluster cannot be reached.
         DatasetError, DemonstrationsError: no demonstrations to learn from, or too few.
     """
@@ -176,7 +176,7 @@ def execute(
         require_same_first_runs(runs, results)
         again = (None, FAILED) if retry_failed else (None,)
         waiting = [run for run in runs if states[run] in again]
-        open_dataset(waiting, results)  # a plan that is refused leaves the one before listed
+        open_dataset(waiting, results)  # if it refuses the plan, the previous one stays listed
         results.write_plan(runs)
 
         def go_on(_: int) -> None:
@@ -198,14 +198,14 @@ def execute(
 
 @contextmanager
 def _timed(part: str, seconds: dict[str, float]) -> Iterator[None]:
-    """Note the seconds that the context takes as those of a part."""
+    """Record how many seconds the context takes, under the name of a part."""
     start = time.perf_counter()
     yield
     seconds[part] = time.perf_counter() - start
 
 
 class _Interrupted(Exception):
-    """A signal came outside training; what was generated or evaluated is kept."""
+    """A signal arrived outside training; what was generated or evaluated is kept."""
 
 
 def _finish_all(
@@ -252,7 +252,7 @@ def _finish_all(
 
 
 class _References:
-    """Reference policies, each evaluated in a process of this machine."""
+    """Reference policies, each evaluated in a process on this machine."""
 
     def __init__(
         self,
@@ -270,13 +270,13 @@ class _References:
         self._pool = ProcessPool(min(resources.workers or available_cores(), len(references)))
 
     def start(self, slots: int) -> None:
-        """Have as many evaluations in progress as there are slots."""
+        """Start evaluations until there are as many in progress as slots."""
         free = slots - sum(not future.done() for future in self._started)
         for _ in range(min(free, len(self._waiting))):
             self._started.append(self._pool.submit(*self._waiting.popleft()))
 
     def finish(self, progress: Callable[[int], None]) -> None:
-        """Evaluate what is left; `progress` is called meanwhile, and may raise."""
+        """Evaluate the rest; `progress` is called meanwhile, and may raise."""
         self.start(len(self._started) + len(self._waiting))
         while not all(future.done() for future in self._started):
             progress(0)
@@ -290,7 +290,7 @@ class _References:
 
 
 def _outcome(run: PlannedRun, future: Future[Outcome], results: Results, stopping: bool) -> Outcome:
-    """How a run ended; if its process died, that is recorded unless it was told to end."""
+    """How a run ended; a process that died is recorded as a failure unless it was told to end."""
     error = future.exception()
     if error is None:
         return future.result()

@@ -1,6 +1,6 @@
 """What executing a plan would do: its runs, their estimated cost, and what is already done.
 
-Estimates are for this machine, and right within a factor of two or so.
+Estimates are for this machine, and accurate to within a factor of about two.
 """
 
 import math
@@ -20,11 +20,11 @@ from magical.runs.plan import in_words
 
 HEADER = ("method", "tasks", "seed", "time", "state")
 Way = tuple[str, str, str, int]  # network, device, precision, threads: what speed depends on
-ROUNDS = 2  # timed batches of a network
-FORWARD = 1 / 3  # time of a forward pass, of that of a forward and backward pass
+ROUNDS = 2  # timed batches for each network
+FORWARD = 1 / 3  # time of a forward pass / that of a forward and backward pass
 
-# Rendering and augmenting a sample of behavioural cloning takes 25 to 50 ms of a core for 32 of
-# them; 7,500 steps a second of an environment with its pixels (docs/benchmarks.md).
+# In behavioural cloning, rendering and augmenting 32 samples takes 25 to 50 ms on one core; an
+# environment with pixels runs 7,500 steps per second (docs/benchmarks.md).
 SECONDS_PER_PREPARED_SAMPLE = 1.2e-3
 SECONDS_PER_STEP = 1 / 7_500
 
@@ -41,7 +41,7 @@ class Forecast:
 
     Attributes:
         out: the results folder.
-        runs: each run, its seconds, its state.
+        runs: each run, its estimated seconds and its state.
         kept: the states of runs that would not be run again.
     """
 
@@ -57,7 +57,7 @@ class Forecast:
         ]
 
     def lines(self) -> Iterator[str]:
-        """The totals, and where the estimates are from."""
+        """The totals, and where the estimates come from."""
         states = Counter(state for _, _, state in self.runs)
         counts = ", ".join(f"{number} {state}" for state, number in states.items())
         yield f"{len(self.runs)} runs in {self.out}: {counts}"
@@ -103,7 +103,7 @@ def estimate(runs: Sequence[PlannedRun]) -> list[float]:
 
 
 def _estimate(run: PlannedRun, speed: float) -> float:
-    """An estimate from the samples a second of forward and backward passes here."""
+    """An estimate from the samples per second of forward and backward passes here."""
     config = run.config
     horizon, env_ids = run.evaluation.horizon, run.evaluation.env_ids
     evaluated = run.evaluation.rollouts * sum(i.task_spec.resolve_horizon(horizon) for i in env_ids)
@@ -129,12 +129,12 @@ def _way(config: Config) -> Way:
 
 
 def _measure(ways: set[Way]) -> dict[Way, float]:
-    """Samples a second of forward and backward passes."""
+    """Samples per second of forward and backward passes."""
     from magical.learning.running.speed import training_speeds
 
     found: dict[Way, float] = {}
     for network, device, threads in {(network, device, n) for network, device, _, n in ways}:
-        # Of one thread, the processor time is measured: what else runs here does not matter.
+        # For one thread, processor time is measured: other load on the machine does not matter.
         clock = time.process_time if threads == 1 else time.perf_counter
         speeds = training_speeds(
             network, device=device, rounds=ROUNDS, threads=(threads,), clock=clock

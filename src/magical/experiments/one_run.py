@@ -25,14 +25,15 @@ from magical.runs.machine import provenance, source_commit
 from magical.runs.plan import RESULT
 
 MAX_ERROR = 2_000  # characters of a recorded message
-MAX_TRACEBACK = 20_000  # and of a traceback, whose end says most
+MAX_TRACEBACK = 20_000  # and of a traceback, whose end is kept
 REFERENCES = "references"  # in a results folder: a folder for each reference policy and task
 
 
 def finish(run: PlannedRun, folder: Path, demos: Path | None) -> Outcome:
     """Train on the dataset `demos`, or resume; evaluate; write `result.json` last.
 
-    An error is recorded in `result.json` and returned, not raised.
+    An error is recorded in `result.json` and returned, not raised; if no space is left, it is only
+    returned.
     """
     start = time.perf_counter()
     source_commit()  # now: the source may change while the run is in progress
@@ -85,7 +86,7 @@ def _train_and_evaluate(
     resume = is_run(folder)
     try:
         result = train(config, folder, resume=resume)
-    except CheckpointError:  # the newest is damaged
+    except CheckpointError:  # the newest checkpoint is damaged
         result = train(config, folder, resume=resume, previous_checkpoint=resume)
     if result.interrupted:
         return None
@@ -98,10 +99,10 @@ def evaluate_run(run: PlannedRun, folder: Path, out: Path, evaluation: Evaluatio
     """Evaluate a run's trained policy, and write `scores.csv` and `entry.json`.
 
     Args:
-        run: of a plan.
+        run: the run of a plan.
         folder: its folder, with a checkpoint.
-        out: where the files are written: the folder, or one in it.
-        evaluation: how; it may differ from the run's.
+        out: where the files are written: the folder, or a subfolder.
+        evaluation: how the policy is evaluated; it may differ from the run's own evaluation.
     """
     from magical.learning.running.devices import cpu_threads
 

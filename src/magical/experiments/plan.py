@@ -30,9 +30,9 @@ from magical.tasks.axes import full_variant
 from magical.untrusted import read_toml
 
 PLANS = Path(str(files("magical"))) / "plans"  # those of this package
-EXPERT = "expert"  # as `demos`: the scripted experts' demonstrations, generated for the plan
-DATASET = "dataset"  # in records: demonstrations of a folder, whose path says nothing
-DIGITS = 10  # of a run's identity, hexadecimal
+EXPERT = "expert"  # as `demos`: demonstrations of the scripted experts, generated for the plan
+DATASET = "dataset"  # in records: demonstrations from a folder, without its path
+DIGITS = 10  # hexadecimal digits of a run's identity
 MAX_RUNS = 100_000
 OF_THE_PLAN = ("tasks", "seed", "demos")  # settings that a method cannot change
 
@@ -46,14 +46,14 @@ class Method:
     """One row of the tables: an algorithm with its settings.
 
     Attributes:
-        name: the row's name; a name of the published tables is shown beside theirs.
+        name: the row's name; a row named as in the published tables is shown next to theirs.
         algorithm: for instance `bc`.
-        preset: of the algorithm's configuration; empty for the plan's.
+        preset: the preset of the algorithm's configuration; empty for the plan's.
         multi_task: one run learns all tasks of the plan, instead of a run for each task.
         settings: fields of the configuration that differ from the preset.
 
     Raises:
-        PlanError: an unknown algorithm or setting, or a value of another type.
+        PlanError: an empty or unprintable name, or an unknown algorithm or setting.
     """
 
     name: Annotated[str, Meta(max_length=100)]
@@ -80,21 +80,21 @@ class Plan:
     Attributes:
         methods: the rows of the tables.
         tasks: the tasks' names.
-        seeds: of training; each also chooses the run's demonstrations.
+        seeds: the seeds of training; each also chooses the run's demonstrations.
         demos: `expert`, or a folder with a dataset.
         add_expert: add the scripted experts' demonstrations to the folder's.
         num_demos: demonstrations of each task that a run learns from.
-        expert_demos: the experts' demonstrations generated of each task, to choose from.
-        perturb: the share of control steps in which these have a random action.
-        min_score: those that score less are dropped, and others generated.
-        preset: of methods that name none.
-        threads: CPU threads of each run. Scores are equal for the same number only, so it belongs
+        expert_demos: expert demonstrations generated for each task, to choose from.
+        perturb: the share of their control steps that have a random action.
+        min_score: expert demonstrations that score less are dropped, and others generated.
+        preset: the preset of methods that name none.
+        threads: CPU threads of each run. Scores are equal only for the same number, so it belongs
             to the plan, not to the machine.
-        rollouts: on each variant.
-        variants: a task is evaluated on those of them that it has. Empty: all.
-        horizon: of evaluation, as `magical.tasks.parse_horizon` takes it.
-        nudge: of evaluation, see `Evaluation`.
-        references: built-in policies that are evaluated beside the methods, such as `expert`.
+        rollouts: the number of rollouts on each variant.
+        variants: each task is evaluated on those that it has; empty for all.
+        horizon: the horizon of evaluation, in any form that `magical.tasks.parse_horizon` takes.
+        nudge: the nudge of evaluation, see `Evaluation`.
+        references: built-in policies that are evaluated too, such as `expert`.
 
     Raises:
         PlanError: unknown names, values out of range, or the same name twice.
@@ -140,7 +140,7 @@ class Plan:
 
 @contextmanager
 def _plan_errors(prefix: str = "") -> Iterator[None]:
-    """Raise what is wrong with a value as `PlanError`."""
+    """Raise errors in a value as `PlanError`."""
     try:
         yield
     except (PluginError, ValueError) as error:
@@ -157,7 +157,7 @@ def find_plan(name: str) -> Path:
     """The file of one of this package's plans, such as `quick`, or the file at a path.
 
     Raises:
-        PlanError: neither.
+        PlanError: there is neither.
     """
     for path in (PLANS / f"{name}.toml", Path(name)):
         if path.is_file():
@@ -174,7 +174,7 @@ def read_plan(path: Path, demos: str | None = None) -> Plan:
         demos: replaces the file's `demos`.
 
     Raises:
-        PlanError: no TOML, unknown names, values of other types, settings that cannot be combined,
+        PlanError: not TOML, unknown names, values of other types, settings that cannot be combined,
             or the same run twice.
         MissingDependencyError: PyTorch is not installed.
     """
@@ -192,11 +192,10 @@ class DemonstrationSource:
     """Where a run's demonstrations are sampled from; by default there are none.
 
     Attributes:
-        dataset: whether from a dataset of the user's.
-        expert_demos: the number of the scripted experts' that are generated of each task; `None`
-            for none.
-        perturb: the share of control steps in which these have a random action.
-        min_score: the least score of these.
+        dataset: whether they come from the user's dataset.
+        expert_demos: the number of expert demonstrations generated for each task; `None` for none.
+        perturb: the share of these demonstrations' control steps that have a random action.
+        min_score: the lowest score that these may have.
     """
 
     dataset: bool = False
@@ -211,7 +210,7 @@ class DemonstrationSource:
 
     @property
     def generation(self) -> dict[str, float]:
-        """How the experts' are generated, where it is not the default."""
+        """The settings of generated demonstrations that differ from the default."""
         how = {"perturb": self.perturb, "min_score": self.min_score}
         return {name: value for name, value in how.items() if value}
 
@@ -221,7 +220,7 @@ class DemonstrationSource:
         return ", ".join([self.kind, *how])
 
     def settings(self) -> dict[str, Any]:
-        """What scores depend on besides the kind."""
+        """What scores depend on in addition to the kind."""
         return {"expert_demos": self.expert_demos, **self.generation}
 
 
@@ -232,10 +231,11 @@ class PlannedRun:
     Attributes:
         method: the method's name.
         preset: the preset that `config` was made from.
-        config: of training. `demos` is the plan's; the folder is known when the run is started.
-        source: of the demonstrations.
-        evaluation: of the policy.
-        variants: of the evaluation as the plan names them; empty for all.
+        config: the training configuration. Its `demos` is the plan's; the folder is known only when
+            the run is started.
+        source: the source of the demonstrations.
+        evaluation: how the policy is evaluated.
+        variants: the variants of the evaluation as the plan names them; empty for all.
     """
 
     method: str
@@ -257,7 +257,7 @@ class PlannedRun:
 
     @property
     def identity(self) -> str:
-        """A digest of the name and of all that the scores depend on."""
+        """A digest of the method's name and of everything that the scores depend on."""
         text = json.dumps({"method": self.method, **self.settings()}, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:DIGITS]
 
@@ -277,7 +277,7 @@ class PlannedRun:
         return str(self.listed())
 
     def settings(self) -> dict[str, Any]:
-        """All that the scores depend on, as plain data for JSON; datasets without their paths."""
+        """Everything that the scores depend on, as plain data for JSON; datasets without paths."""
         config = self.config.to_dict()
         if "demos" in config:
             config["demos"] = self.source.kind
@@ -294,7 +294,7 @@ def planned_runs(plan: Plan) -> list[PlannedRun]:
     """Every run of a plan, by method, then task, then seed.
 
     Raises:
-        PlanError: a method's settings cannot be, or two runs are the same.
+        PlanError: a method's settings are invalid, or two runs are the same.
     """
     runs: list[PlannedRun] = []
     for number, method in enumerate(plan.methods):
@@ -310,7 +310,7 @@ def planned_runs(plan: Plan) -> list[PlannedRun]:
 
 
 def planned_references(plan: Plan) -> list[tuple[str, Evaluation]]:
-    """The policies that are evaluated beside a plan's methods, and how: one task at a time."""
+    """A plan's reference policies, and how they are evaluated: one task at a time."""
     evaluations = [planned_evaluation(plan, (task,)) for task in plan.tasks]
     return [(name, evaluation) for name in plan.references for evaluation in evaluations]
 

@@ -34,19 +34,19 @@ from magical.runs.folder import CHECKPOINT
 from magical.runs.plan import RESULT
 from magical.tasks import load_tasks
 
-RETRIES = 3  # after the end of a node or of a process on it
+RETRIES = 3  # after a node, or a process on it, has died
 MAX_ERROR = 500  # characters of Ray's own messages
 TIMEOUT = 10.0  # seconds to reach a cluster's port
 
-Returned = tuple[Outcome, bytes | None]  # with the run's folder, packed, unless it is shared
+Returned = tuple[Outcome, bytes | None]  # with the run's packed folder, if it must be sent
 
 
 class RayExecutor:
     """Finishes runs as Ray tasks, each of which reserves its threads and a share of a GPU.
 
-    Where the results folder is shared with a node, its runs write there, and a run that is started
-    again resumes from its checkpoint. Otherwise the demonstrations go to the node, and the folder
-    of a finished run comes back, through Ray.
+    If a node shares the results folder, its runs write there, and a restarted run resumes from its
+    checkpoint. Otherwise Ray sends the demonstrations to the node and the folder of a finished run
+    back.
     """
 
     def __init__(
@@ -67,7 +67,7 @@ class RayExecutor:
         self._tasks: dict[Future[Returned], Any] = {}  # the object references
 
     def slots(self) -> int:
-        """How many runs the present nodes can have in progress at a time."""
+        """How many runs the current nodes can have in progress at a time."""
         with _cluster_needed():
             resources = ray.cluster_resources()
         slots = int(resources.get("CPU", 0) // self._threads)
@@ -104,7 +104,7 @@ class RayExecutor:
             ray.cancel(reference, force=False)
 
     def close(self) -> None:
-        """Leave the cluster; one that was started here ends."""
+        """Leave the cluster; one that was started here is shut down."""
         ray.shutdown()
 
     def _settle(self, ended: Future[Returned], folder: Path, outcome: Future[Outcome]) -> None:
@@ -117,9 +117,9 @@ class RayExecutor:
                 unpack(packed, folder, RESULT if begun_here else None)
             outcome.set_result(result)
         except (RayTaskError, TaskCancelledError, WorkerCrashedError, OutOfMemoryError) as error:
-            outcome.set_exception(error)  # the run's own doing, RETRIES times
+            outcome.set_exception(error)  # caused by the run itself, RETRIES times
         except RayError as error:
-            # If it was this machine's node, Ray ends the process next: this line is the last.
+            # If this machine's node was lost, Ray ends this process next, so this line is its last.
             why = f"{printable(str(error), MAX_ERROR)} It is tried again, or by the same command"
             outcome.set_result(Outcome("lost", error=why))
         except Exception as error:
@@ -128,7 +128,7 @@ class RayExecutor:
 
 @contextmanager
 def _cluster_needed() -> Iterator[None]:
-    """Raise what a cluster that is gone causes as `ClusterError`."""
+    """Raise the errors of a lost cluster as `ClusterError`."""
     try:
         yield
     except (RayError, ConnectionError) as error:
@@ -147,9 +147,9 @@ def pack(folder: Path) -> bytes:
 
 
 def unpack(packed: bytes, folder: Path, only: str | None = None) -> None:
-    """Write what `pack` has packed; a folder that is there already is replaced.
+    """Write what `pack` has packed; an existing folder is replaced.
 
-    With the name of a file in it, only this one is written or replaced.
+    With `only`, the name of a file in it, just that file is written or replaced.
     """
     make_folder(folder.parent)
     # Under an unpredictable name: a link may be planted under a known one.
@@ -203,7 +203,7 @@ def _unreachable(address: str, reason: str) -> str:
 
 
 def _answers(address: str) -> bool:
-    """Whether something listens at `host:port` or `ray://host:port`; other addresses pass."""
+    """Whether something listens at `host:port` or `ray://host:port`; true for other addresses."""
     host, colon, port = address.removeprefix("ray://").rpartition(":")
     if not colon or not port.isdigit():
         return True

@@ -1,10 +1,11 @@
 """The results folder of a plan (docs/experiments.md).
 
 - `experiment.json`: format, identity of the folder, versions; digests of the demonstrations, and of
-  the checkpoints of first runs
+  the checkpoints that runs are fine-tuned from
 - `plan.json`: the runs of the plan, in its order
 - `progress.json`: which runs are in progress, while `.lock` is held
 - `demos/`: demonstrations generated for the plan
+- `references/<policy>-<task>/`: the entry of a reference policy
 - `runs/<name>/`: a run's folder, with `scores.csv`, `entry.json` and last of all `result.json`
 """
 
@@ -34,9 +35,9 @@ class Experiment:
     """What `experiment.json` holds.
 
     Attributes:
-        format: of the folder.
-        id: sampled when the folder was created; tells it from another machine's of the same path.
-        versions: that it was created with.
+        format: the folder's format.
+        id: random; distinguishes the folder from one with the same path on another machine.
+        versions: the versions that it was created with.
         demonstrations: digests of the user's dataset, by task.
         generated_demonstrations: digests of the scripted experts', by folder and task.
         first_runs: digests of the checkpoints that runs are fine-tuned from, by `init_from`.
@@ -57,7 +58,7 @@ def read_experiment(path: Path) -> Experiment:
 
 @dataclass(frozen=True, slots=True)
 class RunsInProgress:
-    """What `progress.json` holds: folders of the runs in progress, how many can be at a time."""
+    """What `progress.json` holds: folders of the runs in progress, and how many can be at once."""
 
     running: tuple[str, ...] = ()
     slots: int = 1
@@ -90,15 +91,15 @@ class Results:
     def require_same(
         self, part: str, found: Mapping[str, str], others: Callable[[str], str]
     ) -> None:
-        """Record digests in a field of `experiment.json`; those that are there must be the same.
+        """Record digests in a field of `experiment.json`; those already there must be the same.
 
         Args:
-            part: the field, of `Experiment`.
-            found: digests by name of what runs learn from.
-            others: what runs in the folder learned from if that of a name is another, in words.
+            part: the field of `Experiment`.
+            found: digests of what runs learn from, by name.
+            others: says, for a name whose digest differs, what runs in the folder learned from.
 
         Raises:
-            ResultsError: one is another.
+            ResultsError: a digest differs.
         """
         experiment = asdict(read_experiment(self.path))
         known = experiment[part]
@@ -112,11 +113,11 @@ class Results:
             write_json(self.path / EXPERIMENT, {**experiment, part: {**known, **found}})
 
     def write_plan(self, runs: Sequence[PlannedRun]) -> None:
-        """List the runs of the plan, which are then what reports and `magical status` show."""
+        """Write the list of the plan's runs, which reports and `magical status` then show."""
         write_json(self.path / PLAN, {"runs": [asdict(run.listed()) for run in runs]})
 
     def write_progress(self, running: Iterable[PlannedRun], slots: int) -> None:
-        """Note which runs are in progress, and how many can be at a time."""
+        """Record which runs are in progress, and how many can be at a time."""
         names = [run.folder for run in running]
         write_json(self.path / PROGRESS, asdict(RunsInProgress(tuple(names), slots)))
 
@@ -126,9 +127,9 @@ class Outcome:
     """How the attempt to finish a run ended.
 
     Attributes:
-        state: `interrupted` by Ctrl-C or SIGTERM with a checkpoint left; `no space` on the device;
+        state: `interrupted` by Ctrl-C or SIGTERM, leaving a checkpoint; `no space` on the device;
             `lost` with a node of a cluster.
-        seconds: of this attempt.
+        seconds: how long this attempt took.
         error: the message, if it failed.
     """
 
@@ -139,7 +140,7 @@ class Outcome:
 
 @contextmanager
 def opened(path: Path, runs: Sequence[PlannedRun]) -> Iterator[Results]:
-    """A locked results folder for the runs of a plan, created if it is missing.
+    """Lock a results folder for the runs of a plan; it is created if missing.
 
     Raises:
         ResultsError: the folder holds other files, or results of another plan or another version;
@@ -149,7 +150,7 @@ def opened(path: Path, runs: Sequence[PlannedRun]) -> Iterator[Results]:
     with _owned(path).locked():
         if is_results(path):
             check_results(path, runs)
-            (path / PROGRESS).unlink(missing_ok=True)  # of a command that was killed
+            (path / PROGRESS).unlink(missing_ok=True)  # left by a command that was killed
         else:
             write_json(path / EXPERIMENT, asdict(Experiment(FORMAT, uuid.uuid4().hex, versions())))
         yield Results(path, read_experiment(path).id)
@@ -161,10 +162,10 @@ def _owned(path: Path) -> OwnedFolder:
 
 
 def require_same_first_runs(runs: Iterable[PlannedRun], results: Results) -> None:
-    """Check that runs are all fine-tuned from the same checkpoints; a missing one is not read.
+    """Check that all runs are fine-tuned from the same checkpoints; a missing one is not read.
 
     Raises:
-        ResultsError: those in the folder were fine-tuned from others.
+        ResultsError: runs in the folder were fine-tuned from other checkpoints.
     """
     folders = {str(run.config.to_dict().get("init_from") or "") for run in runs} - {""}
     digests: dict[str, str] = {}
@@ -184,12 +185,12 @@ def is_results(path: Path) -> bool:
 def check_results(path: Path, runs: Sequence[PlannedRun]) -> None:
     """Check that an existing results folder is of this version, and of the plan of these runs.
 
-    A plan may have changed since: it is another one if it has none of the methods.
+    A plan may have changed since; it is another one if it has none of the earlier methods.
 
     Raises:
         ResultsError: the folder is of another version, or of another plan.
     """
-    # Of another version, it may have other fields.
+    # A folder of another version may have other fields.
     found = read_json(path / EXPERIMENT, dict[str, Any], ResultsError)
     versions_then, written_in = found.get("versions"), found.get("format")
     version = versions_then.get("magical") if isinstance(versions_then, dict) else None
@@ -208,7 +209,7 @@ def check_results(path: Path, runs: Sequence[PlannedRun]) -> None:
 
 
 def run_folders(path: Path) -> list[Path]:
-    """The folders of all runs in a results folder, those of earlier plans too."""
+    """The folders of all runs in a results folder, including those of earlier plans."""
     return sorted(folder for folder in (path / RUNS).glob("[!.]*") if folder.is_dir())
 
 

@@ -1,4 +1,4 @@
-"""How far the runs of a plan are, from the files of a results folder alone."""
+"""The progress of a plan's runs, from the files of a results folder alone."""
 
 from collections import Counter
 from dataclasses import asdict, dataclass
@@ -31,12 +31,12 @@ STATES = (DONE, FAILED, RUNNING, WAITING)
 
 @dataclass(frozen=True, slots=True)
 class RunStatus(ListedRun):
-    """How far one run is.
+    """The progress of one run.
 
     Attributes:
-        state: one of `STATES`; an interrupted run waits.
-        step: batches or updates done, of the newest line of metrics; 0 for a run that has ended.
-        seconds: that the last session of training and the evaluation took, if it is done.
+        state: one of `STATES`; an interrupted run is `waiting`.
+        step: batches or updates done, from the newest line of metrics; 0 for a run that has ended.
+        seconds: how long the last session of training and the evaluation took, if it is done.
         error: the message, if it failed.
     """
 
@@ -48,14 +48,14 @@ class RunStatus(ListedRun):
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """How far a plan is.
+    """The progress of a plan.
 
     Attributes:
         path: the results folder.
         active: whether a process is executing the plan.
         slots: how many runs it executes at a time.
         runs: every run, in the plan's order.
-        others: the number of runs in the folder that are not in the plan any more.
+        others: the number of runs in the folder that are no longer in the plan.
     """
 
     path: Path
@@ -101,13 +101,13 @@ class Status:
 
 
 def read_status(folder: Path | str) -> Status:
-    """Read how far a plan is; its execution is not disturbed.
+    """Read the progress of a plan without disturbing its execution.
 
     Args:
         folder: the results folder.
 
     Raises:
-        ResultsError: no results folder, or a damaged one.
+        ResultsError: not a results folder, or a damaged one.
     """
     path = Path(folder)
     if not is_results(path):

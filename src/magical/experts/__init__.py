@@ -1,13 +1,13 @@
 """Scripted experts: closed-loop demonstrators of every task, from any state.
 
-A task's planner turns the present state into the moves that are still to make, each of one block
-(or of the robot itself) to a goal. The expert makes the move that takes the fewest control steps,
-and plans again. It never looks ahead in the simulator, and its whole state is in a `Memory` that
-may be dropped at any step. A `Strategy`, sampled once per episode, adds small preference costs of
-sides, blocks and places, so that demonstrators differ.
+A task's planner turns the current state into the moves still to be made, each of one block (or of
+the robot itself) to a goal. The expert makes the move that takes the fewest control steps, then
+plans again. It never looks ahead in the simulator, and its whole state is in a `Memory` that may be
+dropped at any step. A `Strategy`, sampled once per episode, adds small preference costs for sides,
+blocks and places, so that demonstrators differ.
 
 One decision, in `expert`:
-    1. If the robot has not moved or progressed for too long, it gives the move up and drives away
+    1. If the robot has not moved or progressed for too long, it gives up the move and drives away
        for a few steps (`steering.escape`).
     2. If there is no move, the move is done, or the task is solved, it plans again (`goals`) and
        chooses a move by the steps that grasping (`grasp`) and carrying take, blocks in the way, and
@@ -17,20 +17,21 @@ One decision, in `expert`:
     4. Otherwise it approaches (`steering.approach`): it drives to the gate behind the best side,
        around other blocks (`paths`), then straight ahead.
     5. Below skill 1, action noise perturbs the action, and some moves (`noise`).
-Where another action than its own is executed (perturbed demonstrations, DAgger), the expert takes
+If an action other than its own is executed (perturbed demonstrations, DAgger), the expert takes
 over from the next state.
 
-Where it fails. Mostly in the Cluster tasks' CountPlus and All variants: with nine or ten blocks the
-fingers push neighbours aside, blocks enclosed by walls and others take several attempts, and time
-runs out with one or two blocks out of place. In MakeLine and the region tasks with random layouts
-a neighbour may be scooped up with a block, or two blocks wedged into a corner. The costs are rules
-of thumb: contacts, block shapes and angles are not modelled. `magical evaluate expert` scores them.
+It fails mostly in the Cluster tasks' CountPlus and All variants: with nine or ten blocks, the
+fingers push neighbours aside, blocks enclosed by walls and other blocks take several attempts, and
+time runs out with one or two blocks out of place. In MakeLine and the region tasks with random
+layouts, a neighbour may be scooped up with a block, or two blocks may get wedged in a corner. The
+costs are rules of thumb: contacts, block shapes and angles are not modelled. `magical evaluate
+expert` scores the experts.
 
-Constants stand at the top of the file that uses them, each with its unit and how it was found:
-"measured" was read off the simulator; "swept" is the best of a grid of values by expert scores over
-many environments; "tuned" was set by hand on expert scores, most of them on the Cluster tasks and
-MakeLine; "for time" trades computing time for quality. None was set on the seeds of evaluation
-(docs/protocol.md). `benchmarks/expert_constants.py` measures what each changes.
+Constants are at the top of the file that uses them, each with its unit and origin: "measured" was
+read off the simulator; "swept" is the best of a grid of values by expert scores over many
+environments; "tuned" was set by hand on expert scores, mostly on the Cluster tasks and MakeLine;
+"for time" gives up quality to save computing time. None was set on the evaluation seeds
+(docs/protocol.md). `benchmarks/expert_constants.py` measures the effect of each.
 """
 
 from magical.experts.expert import Expert, expert_for

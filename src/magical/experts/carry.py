@@ -1,10 +1,10 @@
-"""Carrying a held block to its goal: forwards, backwards or turning, whichever is soonest.
+"""Carrying a held block to its goal: forwards, backwards or turning, whichever is quickest.
 
-A motion is a pair of actions, each repeated for a few control steps. All of them are rolled out
-under a model that knows how fast top speeds are reached, and nothing of contacts. At every control
-step all motions are scored by about how many control steps remain until the block is at its goal.
-The best few of each first action are also charged for walls and blocks on their paths, and the
-first action of the cheapest is taken.
+A motion is a pair of actions, each repeated for a few control steps. All motions are rolled out
+under a model that knows how fast top speeds are reached, but nothing about contacts. At every
+control step, all motions are scored by the approximate number of control steps until the block is
+at its goal. The best few for each first action are also charged for walls and blocks on their
+paths, and the first action of the cheapest motion is taken.
 """
 
 import math
@@ -35,31 +35,31 @@ from magical.scene.constants import CONTROL_RATE
 from magical.scene.geometry import Point, lengths
 
 GRIP_STEPS = 2  # control steps of closing before a block is carried; measured
-GRIPPED_OPENING = 0.33  # rad: smaller openings hold a block already; measured
-GRIP_ADVANCE = 0.015  # units beyond HELD_DISTANCE at which the robot still drives up; tuned
+GRIPPED_OPENING = 0.33  # rad: smaller openings already hold a block; measured
+GRIP_ADVANCE = 0.015  # units beyond HELD_DISTANCE from which the robot still drives up; tuned
 
 WAYPOINT_CLEARANCE = 0.31  # units from the block to obstacles on its path; tuned
 WAYPOINT_TOLERANCE = 0.1  # units: how exactly waypoints are met; tuned
-GOAL_TOLERANCE = 0.7  # share of a move's tolerance that is aimed at; tuned
-REST_DETOUR = 1.3  # of the straight line's time that the rest takes; tuned
+GOAL_TOLERANCE = 0.7  # share of a move's tolerance to aim for; tuned
+REST_DETOUR = 1.3  # factor on the straight-line time of the remaining way; tuned
 PULL_TURN = 0.6  # rad that pulling costs in addition to facing away; tuned
-TURN_LIMIT = 40.0  # control steps per unit: short ways need no facing; tuned
+TURN_LIMIT = 40.0  # control steps per unit: limits the turn before a short way; tuned
 CORRECTION_STEPS = 4.0  # control steps that any further correction takes; tuned
-STOP_COST = 4.0  # control steps added to standing still, which could last; tuned
-CANDIDATES = 5  # motions of each first action that are checked for obstacles; for time
+STOP_COST = 4.0  # control steps added to standing still, which might never end; tuned
+CANDIDATES = 5  # motions per first action that are checked for obstacles; for time
 
 BLOCK_LIMIT = 0.84  # units: largest coordinate of the held block's centre; tuned
 ROOM_COST = 45.0  # control steps per unit of missing room; tuned
 REAR = 0.18  # units behind the robot that should be free at the end; tuned
-REAR_WALL_FACTOR = 5.0  # of `ROOM_COST`: of a wall there, which prevents release; tuned
-BLOCK_WALL_FACTOR = 2.0  # of `ROOM_COST`: of a wall at the block; tuned
+REAR_WALL_FACTOR = 5.0  # times `ROOM_COST`: for a wall there, which prevents release; tuned
+BLOCK_WALL_FACTOR = 2.0  # times `ROOM_COST`: for a wall at the block; tuned
 
-# How robot and held block accelerate. Fitted by hand to the simulator: a test compares five steps
-# of one action with it.
-DRIVE_CHANGE = 0.028  # units: change of the velocity per step by the drive; measured
-DRAG_CHANGE = 0.0145  # units: change of the velocity per step by the block's friction; measured
-SPIN_UP = 0.085  # rad: change of turning per step; measured
-SPIN_STOP = 0.33  # share of the present turning still turned on stopping; measured
+# How robot and held block accelerate, fitted by hand to the simulator. A test compares the two over
+# five steps of one action.
+DRIVE_CHANGE = 0.028  # units: change in velocity per step due to the drive; measured
+DRAG_CHANGE = 0.0145  # units: change in velocity per step due to the block's friction; measured
+SPIN_UP = 0.085  # rad: change in spin per step; measured
+SPIN_STOP = 0.33  # share of the current spin still turned on stopping; measured
 PIVOT = 0.06  # units ahead of the robot's centre about which both turn; measured
 
 # Which motions are rolled out, and from which initial speeds. Tuned for time and scores.
@@ -69,13 +69,13 @@ STRIDE = 2  # control steps between the points of a path that are kept
 SPEEDS = (-0.06, 0.0, 0.05, 0.1)  # units per control step
 SPINS = (-0.25, 0.0, 0.25)  # rad per control step
 
-OPEN_ACTIONS = NUM_ACTIONS // 2  # with open fingers; those with closed ones follow in their order
+OPEN_ACTIONS = NUM_ACTIONS // 2  # with open fingers; those with closed ones follow in this order
 _ROW_STARTS = np.arange(OPEN_ACTIONS)[:, None]
-_TO_CLOSED = Action(gripper=Gripper.CLOSED).id  # added to an action's id: with closed fingers
+_TO_CLOSED = Action(gripper=Gripper.CLOSED).id  # added to an action's id: closes the fingers
 
 
 class MotionTable(NamedTuple):
-    """N motions in the frame that the robot starts from, with K points of each path."""
+    """N motions in the robot's initial frame, with K points on each path."""
 
     first: Ints  # (N,) ids of the first actions, fingers open, in ascending order
     time: Floats  # (N,) control steps
@@ -97,12 +97,12 @@ def carry(
     """The action that closes the fingers on the block between them, and then moves it to its goal.
 
     Args:
-        view: the present state.
+        view: the current state.
         block: the block's centre.
         goal: where it should go.
-        tolerance: units from there that are near enough.
+        tolerance: units from the goal that are near enough.
         others: the other blocks' centres.
-        held_steps: control steps for which it has been between the fingers.
+        held_steps: control steps for which the block has been between the fingers.
     """
     local = view.to_robot_frame(block)
     if held_steps < GRIP_STEPS and view.finger_opening > GRIPPED_OPENING:
@@ -117,7 +117,7 @@ def carry(
 
 
 def _remaining_steps(table: MotionTable, block: Point, goal: Point, tolerance: float) -> Floats:
-    """About how many control steps (N,) the held block needs to the goal after each motion."""
+    """Approximate control steps (N,) from the end of each motion until the block is at the goal."""
     end = table.robot[:, -1] + block[0] * table.right + block[1] * table.ahead
     offset = np.array(goal) - end  # (N, 2)
     distance = np.hypot(offset[:, 0], offset[:, 1])
@@ -165,7 +165,7 @@ def _missing_room(
 
 
 def _intrusion(paths: Floats, points: Floats, room: float) -> Floats:
-    """Units (P,) by which paths (P, K, 2) get closer than `room` to points (M, 2), in all."""
+    """Units (P,) by which paths (P, K, 2) get closer than `room` to points (M, 2), in total."""
     offset = paths[:, :, None] - points
     distance = lengths(offset)  # (P, K, M)
     missing: Floats = np.maximum(0.0, room - distance.min(axis=1)).sum(axis=1)
@@ -173,7 +173,7 @@ def _intrusion(paths: Floats, points: Floats, room: float) -> Floats:
 
 
 def motion_table(speed: float, spin: float) -> MotionTable:
-    """The motions from the initial speed (units / s) and turning (rad / s) nearest to the given."""
+    """The motions from the initial speed (units / s) and spin (rad / s) nearest to those given."""
     return _table(_nearest(SPEEDS, speed), _nearest(SPINS, spin))
 
 
@@ -244,7 +244,7 @@ def _ahead(angle: Floats) -> Floats:
 
 
 def _turn(spin: Floats, aim: Floats) -> tuple[Floats, Floats]:
-    """The angle turned in a control step, and the turning after it."""
+    """The angle turned in a control step, and the spin after it."""
     increased = spin + np.clip(aim - spin, -SPIN_UP, SPIN_UP)
     reversed_ = aim * spin < 0
     after = np.where(reversed_, 0.5 * aim, np.where(aim == 0, 0.0, increased))

@@ -22,16 +22,16 @@ from magical.tasks import Task, get_task
 REVIEW_STEPS = 8  # control steps between reviews of a side, or of an empty plan; tuned
 SOLVED_STEPS = 3  # control steps between checks whether the task is solved; for time
 
-# What the next move is chosen by, besides the steps that it takes.
+# Costs that decide the next move, in addition to the steps that it takes.
 RETRY_COST = 40.0  # control steps for each time that a block's move was given up; tuned
 OCCUPIED_COST = 60.0  # control steps per unit of missing room around the goal; swept
-BLOCKED_COST = 300.0  # control steps per unit of missing room beside the way; swept
+BLOCKED_COST = 300.0  # control steps per unit of missing room along the way; swept
 
 # How a block that could not be grasped is approached again.
 RETRY_STEPS = 20  # control steps in which it is knocked loose; tuned
-RETRY_OFFSET = 0.13  # units beside its centre that are aimed at; tuned
+RETRY_OFFSET = 0.13  # units from its centre to the point to aim at; tuned
 RETRY_ROTATION = 2.4  # rad between one attempt and the next: the golden angle
-SIDE_SHIFTS = 5  # attempts that shift the preferences of sides, then again from the first
+SIDE_SHIFTS = 5  # attempts that shift the side preferences before they repeat
 
 IDLE_ACTION = Action(gripper=Gripper.CLOSED).id  # of a finished expert; see `_idle_action`
 
@@ -40,8 +40,8 @@ IDLE_ACTION = Action(gripper=Gripper.CLOSED).id  # of a finished expert; see `_i
 class Expert:
     """A closed-loop demonstrator of one task.
 
-    Its state during an episode is in `Memory`: it can start, or start again, in any state. Where
-    the scene does not fit the task it does nothing.
+    Its state during an episode is in `Memory`, so it can start, or start again, in any state. If
+    the scene does not fit the task, it does nothing.
     """
 
     task: Task
@@ -53,8 +53,8 @@ class Expert:
         """Decide on the next action.
 
         Args:
-            state: the present state, any that the task can be in.
-            memory: what the last call returned; None at the start or on taking over.
+            state: the current state, which may be any state of the task.
+            memory: the memory returned by the last call; None at the start or when taking over.
 
         Returns:
             The action's id, and the memory for the next call.
@@ -68,7 +68,7 @@ class Expert:
         return action, memory
 
     def _decide(self, view: StateView, memory: Memory) -> tuple[int, Memory]:
-        """Escape where the robot is stuck, choose a move where there is none, and make it."""
+        """Escape if the robot is stuck; otherwise choose a move if there is none, and make it."""
         memory = note_motion(view, memory)
         if memory.escape_steps:
             action = escape(memory.failures, memory.escape_with_block)
@@ -101,7 +101,7 @@ class Expert:
         return replace(memory, move=move, escape_steps=detour)
 
     def _cost(self, view: StateView, move: Move, memory: Memory) -> float:
-        """About how many control steps a move takes, and how many it is better to wait with it."""
+        """Approximate control steps that a move takes, plus the costs of making it now."""
         if move.block is None:
             return 0.0
         preferences = self.strategy.block_costs
@@ -109,7 +109,7 @@ class Expert:
         cost += RETRY_COST * memory.failed_blocks.count(move.block)
         waiting = [m.block for m in memory.plan.moves if m.block != move.block]
         room = [math.dist(move.goal, view.blocks[i]) for i in waiting if i is not None]
-        # Units by which blocks that wait are too near to the goal for releasing one there.
+        # Other blocks that are yet to be moved may be too near to the goal to release one there.
         cost += OCCUPIED_COST * sum(max(0.0, WORKING_DISTANCE - distance) for distance in room)
         cost += BLOCKED_COST * _missing_width(view, view.blocks[move.block], move.goal)
         _, steps = self._best_side(view, move.block, move.goal, memory.failures)
@@ -124,7 +124,7 @@ class Expert:
         return best_side(view, view.blocks[block], goal, others, preferences, current)
 
     def _make_move(self, view: StateView, move: Move, memory: Memory) -> tuple[int, Memory]:
-        """Drive to the goal; or carry the block there, once it is between the fingers."""
+        """Drive to the goal; or approach the block, and once it is grasped, carry it there."""
         if move.block is None:
             memory = note_driving_step(memory, view.distance_to(move.goal))
             return travel(view, move.goal, view.blocks, memory.pushes_aside), memory
@@ -141,18 +141,18 @@ class Expert:
         return approach(view, aim, memory.side, others, memory.pushes_aside), memory
 
     def _review_side(self, view: StateView, block: int, goal: Point, memory: Memory) -> Memory:
-        """Choose the side from which the block is grasped; on another one, progress starts anew."""
+        """Choose the side to grasp the block from; a change of side resets the progress."""
         current = memory.side if memory.move_steps else None
         side, _ = self._best_side(view, block, goal, memory.failures, current)
         return replace(memory, side=side, nearest=memory.nearest if side == current else math.inf)
 
 
 def _idle_action(view: StateView) -> int:
-    """The action where nothing is left to do.
+    """The action when nothing is left to do.
 
     Closed fingers that squeeze a block creep on with it, so it is released first. Then a finished
     expert keeps its fingers closed: learners that leave out no-op samples, as the paper's
-    behavioural cloning does, could not learn from no-ops to stay where they are.
+    behavioural cloning does, could not learn to stay in place from no-ops.
     """
     action = back_off(view, view.blocks)
     return IDLE_ACTION if action is None else action
@@ -166,13 +166,13 @@ def _is_done(view: StateView, move: Move) -> bool:
 
 
 def _beside(block: Point, attempt: int) -> Point:
-    """A point beside a block to drive at, which knocks it loose; another one each time."""
+    """A point next to a block to drive at to knock it loose, different for each attempt."""
     angle = RETRY_ROTATION * attempt
     return block[0] + RETRY_OFFSET * math.cos(angle), block[1] + RETRY_OFFSET * math.sin(angle)
 
 
 def _missing_width(view: StateView, start: Point, goal: Point) -> float:
-    """Units by which blocks narrow the straight way of a block, in all."""
+    """Total of the units by which other blocks narrow the straight way of a block."""
     total = 0.0
     for other in view.blocks:
         distance = segment_distance(start, goal, other)
@@ -192,14 +192,14 @@ def expert_for(
 
     Args:
         task: the task's name, such as MoveToCorner.
-        seed: of the strategy and the action noise; None: a random one.
-        rng: what they are sampled from instead, where given.
+        seed: seed of the strategy and the action noise; None: random.
+        rng: generator from which to sample them instead, if given.
         skill: from 0 to 1. Below 1 the expert makes mistakes: random actions, detours, and
             sometimes wrong goals.
 
     Raises:
-        UnknownNameError: no such task.
-        NoExpertError: the task has none.
+        UnknownNameError: there is no such task.
+        NoExpertError: the task has no expert.
         InvalidConfigError: the skill is not between 0 and 1.
     """
     spec, planner = get_task(task), get_planner(task)

@@ -1,6 +1,6 @@
-"""Distances that several skills share, and plane geometry of points and of arrays of points.
+"""Distances shared by several skills, and plane geometry of points and arrays of points.
 
-The package's docstring says what the words "measured", "swept" and "tuned" in comments mean.
+The package's docstring explains the words "measured", "swept" and "tuned" in comments.
 """
 
 import math
@@ -27,7 +27,7 @@ Bools = NDArray[np.bool_]
 Angle = TypeVar("Angle", float, Floats)
 
 ROBOT_LIMIT = WORKSPACE_HALF - ROBOT_RADIUS  # units: largest coordinate of the robot's centre
-# units: the same with the open fingers towards the wall, at whatever angle
+# units: the same with the open fingers towards the wall, at any angle
 FACING_LIMIT = WORKSPACE_HALF - robot_silhouette().outer
 CONTACT_DISTANCE = ROBOT_RADIUS + BLOCK_SIZE  # units between the centres of robot and block
 DRIVING_CLEARANCE = CONTACT_DISTANCE + 0.02  # units to blocks driven past; margin tuned
@@ -70,7 +70,7 @@ def excess(points: Floats, limit: float) -> Floats:
 
 
 def project_on_segments(starts: Floats, ends: Floats, points: Floats) -> tuple[Floats, Floats]:
-    """Where on segments (..., 2) the points nearest to others (..., 2) are, and their distances.
+    """Positions on segments (..., 2) of the points nearest to others (..., 2), and the distances.
 
     Returns:
         Shares (...) of the segments, from 0 at the start to 1 at the end, and distances (...).

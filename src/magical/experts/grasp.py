@@ -1,8 +1,8 @@
-"""Grasps: their geometry, and what one costs from every side, for one block or for all.
+"""Grasps: their geometry, and their costs from every side, for one block or for all.
 
 A grasp has a side, the bearing at which the robot faces the block; a stand, where the robot is when
 it holds the block; and a gate behind the stand, where the last straight approach begins. Costs are
-about the control steps that something takes, or what it risks in control steps.
+approximate: the control steps that something takes, or its risk expressed in control steps.
 """
 
 import math
@@ -34,10 +34,10 @@ from magical.scene.geometry import Point, lengths
 REACH = 0.42  # units ahead up to which closing fingers catch a block; measured
 HALF_WIDTH = 0.12  # units to the side up to which they do; measured, for near blocks
 SLIP = 0.03  # units beyond both that a held block may slip; tuned
-# Units from block to gate: the first, or where a wall leaves no room the next that does; tuned.
+# Units from block to gate: the first for which the walls leave room; tuned.
 GATE_DISTANCES = (0.56, 0.52, 0.48, 0.44, 0.4)
 CONE = 0.5  # rad off its side within which a block is approached directly; tuned
-SWEEP_RADIUS = 0.45  # units: turning on the spot hits a nearer block badly; tuned
+SWEEP_RADIUS = 0.45  # units: turning on the spot hits nearer blocks hard; tuned
 FINGER_OFFSET = 0.18  # units from a block's centre to the fingers around it; measured
 FINGER_ROOM = BLOCK_SIZE + 0.03  # units from a finger to other blocks; margin tuned
 FINGER_LIMIT = 0.98  # units: largest coordinate of a finger; tuned
@@ -48,17 +48,17 @@ FINGER_WALL_COST = 8.0  # control steps per finger outside; tuned
 NEIGHBOUR_COST = 150.0  # control steps per unit of missing room to a block; tuned
 PATH_COST = 15.0  # control steps per unit of missing room on the way to the gate; tuned
 DETOUR = 0.5  # units of driving around the block itself, at most; tuned
-MISAIMED = 0.4  # rad off the block at which it has to turn; tuned
-CARRYING_TURN = 1.3  # of TURN_STEP's time that turning with a block takes; tuned
-PULL_STEPS = 2.0  # control steps that pulling takes in addition; tuned
-SIDE_SWITCH_STEPS = 6.0  # control steps that another side must be better by; tuned
+MISAIMED = 0.4  # rad off the block above which turning needs room; tuned
+CARRYING_TURN = 1.3  # factor on the time that turning takes with a block; tuned
+PULL_STEPS = 2.0  # additional control steps that pulling takes; tuned
+SIDE_SWITCH_STEPS = 6.0  # control steps by which another side must be better; tuned
 
 SIDES: Floats = wrap_angle(2 * math.pi * np.arange(float(GRASP_SIDES)) / GRASP_SIDES)  # rad
 _GATE_DISTANCES: Floats = np.array(GATE_DISTANCES)
 
 
 def is_between_fingers(view: StateView, block: Point, is_held: bool = False) -> bool:
-    """Whether the fingers hold the block, or would on closing."""
+    """Whether the fingers hold the block, or would hold it on closing."""
     x, y = view.to_robot_frame(block)
     slip = SLIP if is_held else 0.0
     return abs(x) < HALF_WIDTH + slip and 0.0 < y < REACH + slip
@@ -70,7 +70,7 @@ def point_behind(block: Point, side: float, distance: float) -> Point:
 
 
 def gate_point(block: Point, side: float) -> Point:
-    """Where the last straight approach begins: nearer where a wall leaves no room."""
+    """Where the last straight approach begins: nearer if a wall leaves no room."""
     for distance in GATE_DISTANCES:
         gate = point_behind(block, side, distance)
         if is_within(gate, ROBOT_LIMIT):
@@ -79,7 +79,7 @@ def gate_point(block: Point, side: float) -> Point:
 
 
 class Grasps(NamedTuple):
-    """Grasps of B blocks from S sides, and what M other blocks and the walls cost each."""
+    """Grasps of B blocks from S sides, and the costs for each of the walls and M other blocks."""
 
     gates: Floats  # (B, S, 2)
     stands: Floats  # (B, S, 2)
@@ -128,17 +128,17 @@ def best_side(
     preferences: Sequence[float],
     current: float | None = None,
 ) -> tuple[float, float]:
-    """The side to grasp a block from, and about how many control steps until it is at `goal`.
+    """The side to grasp a block from, and the approximate control steps until it is at `goal`.
 
-    Besides `SIDES`, the bearing from the robot straight to the block is considered.
+    In addition to `SIDES`, the bearing straight from the robot to the block is considered.
 
     Args:
-        view: the present state.
+        view: the current state.
         block: the block's centre.
         goal: where it should go.
         others: the other blocks' centres.
         preferences: control steps (GRASP_SIDES,) that are added to the sides' costs.
-        current: the side chosen before, which is left only for a clearly better one.
+        current: the side chosen before, which is kept unless another is clearly better.
     """
     sides = [bearing(view.position, block), *SIDES.tolist()]
     kept = [] if current is None else [current]
@@ -171,7 +171,7 @@ def _approach_steps(
 ) -> Floats:
     """Control steps (S,) until the robot holds the block, straight or by way of each gate.
 
-    `narrow` (S,) is by how many units the block itself is in the way to each gate.
+    `narrow` (S,): units by which the block itself obstructs the way to each gate.
     """
     straight = bearing(view.position, block)
     distance = lengths(gates - view.position) + GATE_DISTANCES[0] - HELD_DISTANCE
@@ -206,7 +206,7 @@ def _carry_steps(stands: Floats, block: Point, sides: Floats, goal: Point) -> Fl
 
 
 def _gate_distances(centres: Floats, ahead: Floats) -> Floats:
-    """Units (B, S, 1) from blocks (B, 1, 2) to their gates, the same as `gate_point` for each."""
+    """Units (B, S, 1) from blocks (B, 1, 2) to their gates, as in `gate_point`."""
     gates = centres - _GATE_DISTANCES[:, None, None, None] * ahead  # (distances, B, S, 2)
     fits = _outside(gates, ROBOT_LIMIT) <= 0.0
     fits[-1] = True

@@ -1,4 +1,4 @@
-"""An expert's state between decisions, and how it notices that it is stuck."""
+"""An expert's state between decisions, and how it detects that it is stuck."""
 
 import math
 from dataclasses import dataclass, replace
@@ -7,20 +7,20 @@ from magical.experts.planning import NO_PLAN, Move, MovePlan
 from magical.experts.state_view import StateView
 from magical.scene.actions import ACTIONS, Gripper
 
-STALLED_STEPS = 7  # control steps without motion of the robot until it is stuck; tuned
+STALLED_STEPS = 7  # control steps without motion until the robot is stuck; tuned
 MOTION = 0.06  # units that count as motion; tuned
-ROTATION = 0.4  # rad that do; tuned
+ROTATION = 0.4  # rad that count as motion; tuned
 NO_PROGRESS_STEPS = 24  # control steps without progress until it is stuck; tuned
-PUSH_ASIDE_STEPS = 12  # control steps of these after which blocks are pushed aside; tuned
-PROGRESS = 0.05  # units less to drive that count as progress; tuned
-MAX_MOVE_STEPS = 80  # control steps of a move in all; tuned
+PUSH_ASIDE_STEPS = 12  # of these, the control steps before blocks are pushed aside; tuned
+PROGRESS = 0.05  # units of decrease in the distance to drive that count as progress; tuned
+MAX_MOVE_STEPS = 80  # control steps of a move in total; tuned
 ESCAPE_STEPS = 4  # control steps of driving away from a move that was given up; tuned
-KEPT_FAILURES = 3  # moves given up last that are kept; tuned
+KEPT_FAILURES = 3  # number of moves given up last that are kept; tuned
 
 
 @dataclass(frozen=True, slots=True)
 class Memory:
-    """An expert's memory; every field's default is that of an expert that has just taken over."""
+    """An expert's memory; the defaults are those of an expert that has just taken over."""
 
     plan: MovePlan = NO_PLAN
     move: Move | None = None
@@ -28,13 +28,13 @@ class Memory:
     move_steps: int = 0  # control steps spent on the move
     held_steps: int = 0  # control steps for which the block has been between the fingers
     nearest: float = math.inf  # units: least distance left to drive during this move
-    steps_without_progress: int = 0  # control steps since it fell
+    steps_without_progress: int = 0  # control steps since `nearest` decreased
     stall_pose: tuple[float, float, float] = (math.inf, math.inf, 0.0)  # robot's, when last moving
     stalled_steps: int = 0  # control steps since then
     failures: int = 0  # moves given up
-    failed_blocks: tuple[int, ...] = ()  # of the moves given up last
-    escape_steps: int = 0  # control steps of driving away that are left
-    escape_with_block: bool = False  # whether the fingers stay closed meanwhile
+    failed_blocks: tuple[int, ...] = ()  # blocks of the moves given up last
+    escape_steps: int = 0  # remaining control steps of driving away
+    escape_with_block: bool = False  # whether the fingers stay closed while escaping
     idle_steps: int = 0  # control steps until an idle expert plans again
 
     @property
@@ -44,10 +44,10 @@ class Memory:
 
 
 def note_other_action(memory: Memory, action: int) -> Memory:
-    """Record that another action than the expert's was executed: it takes over from there.
+    """Record that an action other than the expert's was executed; it takes over from there.
 
-    It keeps its plan and its move, and a block that closed fingers hold. Its counts of progress are
-    of motions that it chose itself, and would have it escape from what others did.
+    It keeps its plan, its move and a block that closed fingers hold. Its counts of progress are
+    reset: they apply to its own actions only, and could trigger an escape.
     """
     is_closed = ACTIONS[action].gripper is Gripper.CLOSED
     held_steps = memory.held_steps if is_closed else 0
@@ -78,7 +78,7 @@ def note_driving_step(memory: Memory, distance: float) -> Memory:
 
 
 def note_motion(view: StateView, memory: Memory) -> Memory:
-    """Record whether the robot moves; where it is stuck, give the move up and begin an escape."""
+    """Record whether the robot moves; if it is stuck, give up the move and begin an escape."""
     is_stuck = (
         memory.steps_without_progress > NO_PROGRESS_STEPS or memory.move_steps > MAX_MOVE_STEPS
     )
@@ -93,7 +93,7 @@ def note_motion(view: StateView, memory: Memory) -> Memory:
 
 
 def _give_up(memory: Memory) -> Memory:
-    """Give up the move; the next escape pulls on a block that is held, but not twice in a row."""
+    """Give up the move; the next escape pulls a held block along, but not twice in a row."""
     move = memory.move
     failed = () if move is None or move.block is None else (move.block,)
     return Memory(

@@ -1,9 +1,9 @@
-"""Worse demonstrations on purpose: random actions, detours and wrong goals.
+"""Deliberately worse demonstrations: random actions, detours and wrong goals.
 
-Perturbed demonstrations have random actions in place of some of the expert's. It recovers from
-where they lead, so they show more states than it reaches by itself (Laskey et al., "DART: noise
-injection for robust imitation learning", CoRL 2017). An expert of less than full skill, for studies
-of mixed-quality data, makes mistakes of its own: `ActionNoise`.
+In perturbed demonstrations, random actions replace some of the expert's. The expert recovers from
+the states that these lead to, so the demonstrations show more states than it reaches on its own
+(Laskey et al., "DART: noise injection for robust imitation learning", CoRL 2017). An expert below
+full skill, for studies of mixed-quality data, makes its own mistakes: see `ActionNoise`.
 """
 
 from dataclasses import dataclass, replace
@@ -15,11 +15,11 @@ from magical.experts.geometry import ROBOT_LIMIT
 from magical.experts.planning import Move
 from magical.scene import NUM_ACTIONS
 
-MAX_PERTURBED_STEPS = 5  # control steps that one random action is held at most. Chosen, not tuned
+MAX_PERTURBED_STEPS = 5  # control steps: longest hold of a random action. Chosen, not tuned
 
 # The noise at skill 0; chances grow linearly with 1 - skill. Chosen, not tuned.
 RANDOM_ACTION_CHANCE = 0.22  # that a control step begins a random action
-RANDOM_ACTION_STEPS = 3  # control steps that one is held at most
+RANDOM_ACTION_STEPS = 3  # control steps for which one is held at most
 WRONG_GOAL_CHANCE = 0.6  # that a move ends in a wrong place
 GOAL_ERROR = 0.6  # units in each coordinate by which it may be wrong
 DETOUR_CHANCE = 0.5  # that a move begins with a detour
@@ -27,23 +27,23 @@ DETOUR_STEPS = 12  # control steps that a detour lasts at most
 
 
 def check_share(name: str, share: float) -> None:
-    """Raise `InvalidConfigError` where what is called `name` is not between 0 and 1."""
+    """Raise `InvalidConfigError`, with `name` in the message, if `share` is not from 0 to 1."""
     if not 0.0 <= share <= 1.0:
         raise InvalidConfigError(f"{name}: expected a number from 0 to 1, found {share}")
 
 
 @dataclass(slots=True)
 class RandomActions:
-    """Random actions in place of another's, each held for 1 to `max_steps` control steps."""
+    """Random actions in place of given ones, each held for 1 to `max_steps` control steps."""
 
     chance: float  # that one begins in a control step in which none is held
     max_steps: int
-    rng: np.random.Generator  # not used where the chance is 0
+    rng: np.random.Generator  # not used if the chance is 0
     held: int = 0  # the one being held
     steps_left: int = 0  # control steps for which it is still held
 
     def execute(self, action: int) -> int:
-        """The action that is executed in place of another, most often the same."""
+        """The action to execute: a random one, or `action` itself."""
         if not self.steps_left and self.chance > 0.0 and self.rng.random() < self.chance:
             self.held = int(self.rng.integers(NUM_ACTIONS))
             self.steps_left = int(self.rng.integers(1, self.max_steps + 1))
@@ -54,7 +54,7 @@ class RandomActions:
 
 
 def perturbation(share: float, rng: np.random.Generator) -> RandomActions:
-    """Random actions in a share of the control steps, from 0 to 1, on average.
+    """Random actions in an average share, from 0 to 1, of the control steps.
 
     Raises:
         InvalidConfigError: the share is not between 0 and 1.
@@ -66,7 +66,7 @@ def perturbation(share: float, rng: np.random.Generator) -> RandomActions:
 
 
 class ActionNoise:
-    """Perturbs what an expert of less than full skill does.
+    """Perturbs the actions and moves of an expert below full skill.
 
     Raises:
         InvalidConfigError: the skill is not between 0 and 1.
@@ -84,7 +84,7 @@ class ActionNoise:
         return int(self._rng.integers(1, DETOUR_STEPS + 1))
 
     def perturb_goal(self, move: Move) -> Move:
-        """The move as it is made, sometimes to a wrong place inside the workspace."""
+        """The move to make, sometimes to a wrong place inside the workspace."""
         if self._rng.random() >= self._level * WRONG_GOAL_CHANCE:
             return move
         dx, dy = self._rng.uniform(-GOAL_ERROR, GOAL_ERROR, size=2).tolist()

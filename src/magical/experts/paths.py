@@ -1,4 +1,4 @@
-"""Paths around blocks that must not be moved: straight where that is clear, else A* on a grid.
+"""Paths around blocks that must not be moved: straight if that is clear, else A* on a grid.
 
 The moving body is a disc; obstacles are points that it should keep `clearance` away from. A cell
 close to an obstacle costs more but is never forbidden, so that a path exists from every state.
@@ -24,11 +24,11 @@ from magical.scene.geometry import Point, lengths
 
 SPACING = 0.1  # units between grid points: one control step of driving; tuned
 OBSTACLE_COST = 15.0  # extra cost, per unit travelled, at an obstacle's centre; swept
-TURN_COST = DRIVE_STEP / TURN_STEP  # units per radian of the first turn: the same time
-NEAR_START = 0.01  # units: an obstacle counts if the path gets nearer by this; tuned
+TURN_COST = DRIVE_STEP / TURN_STEP  # units per radian of the first turn, which take the same time
+NEAR_START = 0.01  # units: an obstacle counts only if the path gets nearer by this; tuned
 NEAR_GOAL = 0.95  # share of an obstacle's distance to the goal that is kept; tuned
 SLACK = 0.02  # units less clearance when waypoints are skipped; tuned
-FIRST_WAYPOINT = 2  # cells ahead on the path that are headed for at least; tuned
+FIRST_WAYPOINT = 2  # cells: the least distance along the path to head for; tuned
 
 SIDE = round(2 * ROBOT_LIMIT / SPACING) + 1  # grid points per side
 _TICKS = np.linspace(-ROBOT_LIMIT, ROBOT_LIMIT, SIDE)
@@ -58,8 +58,8 @@ def is_clear(
 ) -> bool:
     """Whether the segment keeps clear of every obstacle.
 
-    Obstacles already too close to the start count only where the segment gets closer to them,
-    those too close to the goal (default: the end) where it gets closer than the goal is.
+    Obstacles already too close to the start count only if the segment gets closer to them, and
+    those too close to the goal (default: the end) only if it gets closer than the goal is.
     """
     for obstacle in obstacles:
         distance = segment_distance(start, end, obstacle)
@@ -77,10 +77,10 @@ def _kept_distance(obstacle: Point, goal: Point, clearance: float) -> float:
 def next_waypoint(
     start: Point, goal: Point, obstacles: Sequence[Point], clearance: float, heading: float
 ) -> Point:
-    """Where to head now: the goal, or the furthest point of a path around that is in clear line.
+    """The point to head for: the goal, or the furthest path point with a clear straight line to it.
 
-    Setting out in another direction than `heading` costs the time of the turn, so that of two
-    equal paths the one that is being followed is kept.
+    Starting in a direction other than `heading` costs the time of the turn, so that of two equal
+    paths, the one that is being followed is kept.
     """
     if is_clear(start, goal, obstacles, clearance):
         return goal

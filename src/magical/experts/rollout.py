@@ -25,24 +25,24 @@ class ExpertEpisode:
     actions: NDArray[np.int64]  # (T,), executed
     expert_actions: NDArray[np.int64]  # (T,), the expert's; the same unless perturbed
     poses: NDArray[np.float64]  # (T + 1, bodies, 3), rows as in `Poses`
-    score: float  # of the last poses, by the appendix
+    score: float  # of the last poses, by the appendix's rule
 
 
 class EpisodeExpert:
-    """An expert with its memory of one episode, in which others may act too."""
+    """An expert with its memory of one episode, in which others may also act."""
 
     def __init__(self, expert: Expert) -> None:
         self._expert = expert
         self._memory = Memory()
-        self._action = NOOP  # its last one
+        self._action = NOOP  # its last action
 
     def act(self, state: State) -> int:
-        """The expert's action in the present state."""
+        """The expert's action in the current state."""
         self._action, self._memory = self._expert.act(state, self._memory)
         return self._action
 
     def note_executed(self, action: int) -> None:
-        """Tell it which action was executed after its own; it takes over if that was another."""
+        """Record the executed action; if it was not the expert's own, the expert takes over."""
         if action != self._action:
             self._memory = note_other_action(self._memory, action)
 
@@ -60,9 +60,9 @@ def rollout(
     Args:
         task: the task's name.
         variant: the variant's name, such as TestLayout.
-        seed: of the scene, the dynamics, the strategy and the random actions; None: a random one.
+        seed: seed of the scene, the dynamics, the strategy and the random actions; None: random.
         skill: from 0 to 1, as in `expert_for`.
-        perturb: from 0 to 1, the share of steps with a random action in place of the expert's.
+        perturb: share of steps, from 0 to 1, with a random action in place of the expert's.
 
     Raises:
         InvalidConfigError: the skill or the share is not between 0 and 1.
@@ -74,7 +74,7 @@ def rollout(
     scene, dynamics = spec.sample(variant, rng)
     spec.validate(scene)
     expert = EpisodeExpert(expert_for(task, seed=seed, skill=skill))
-    random_actions = perturbation(perturb, rng.spawn(1)[0])  # the strategy has the scene's numbers
+    random_actions = perturbation(perturb, rng.spawn(1)[0])  # the strategy uses the scene's numbers
     simulation = Simulation(scene, dynamics)
     chosen, tables = [], [simulation.read()]
     for step in range(spec.horizon):
@@ -92,12 +92,12 @@ def rollout(
 
 
 def modules_of(task: str) -> list[str]:
-    """The modules from which a new process learns of a task and of its expert.
+    """The modules that a new process must import to have a task and its expert.
 
     Raises:
-        InvalidTaskError: the task is from outside the package and in no importable module.
+        InvalidTaskError: the task is from outside the package and not in an importable module.
         NoExpertError: the task has no expert.
     """
     modules, plan_fn = defining_modules([get_task(task)]), get_planner(task).plan_fn
-    planning = getattr(plan_fn, "func", plan_fn).__module__  # of a partial, its function's
+    planning = getattr(plan_fn, "func", plan_fn).__module__  # for a partial, its function's
     return sorted({*modules, planning})

@@ -1,7 +1,7 @@
 """A state unpacked into plain floats, with transforms to the robot's frame.
 
 Every skill reads this instead of `State`: a state is unpacked once per decision because plain
-Python arithmetic is faster than numpy on a dozen bodies.
+Python arithmetic is faster than numpy for a dozen bodies.
 """
 
 import math
@@ -11,7 +11,7 @@ from magical.scene import Scene, State
 from magical.scene.geometry import Point
 from magical.scene.poses import FINGERS, FIRST_BLOCK, ROBOT
 
-# s: a released block moves on by about its velocity times this. Measured: 0.08 to 0.16 s for
+# s: a released block glides on by about its velocity times this. Measured: 0.08 to 0.16 s for
 # carried blocks of all shapes, the lower values at the speeds of a block about to be released.
 GLIDE_TIME = 0.09
 

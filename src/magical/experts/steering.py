@@ -1,8 +1,8 @@
-"""Driving without a grasp: to a place, up to a block, back off blocks, and out of being stuck.
+"""Driving without a grasp: to a place, up to a block, away from blocks, and out when stuck.
 
-One control step of turning turns the robot by about 0.3 rad and there is no half step, so a heading
-is corrected only where the error is worth a step, and judged at the angle where the present turn
-will stop.
+One control step of turning turns the robot by about 0.3 rad, and there is no half step, so a
+heading is corrected only if the error is worth a step, and judged at the angle at which the current
+turn will stop.
 """
 
 import math
@@ -36,30 +36,30 @@ from magical.scene.geometry import Point
 # When a heading is corrected, and when the robot drives while it turns.
 BRAKING = 27.0  # rad / s^2 at which an empty robot stops turning; measured: 26 to 28
 FAR_DISTANCE = 0.5  # units: further away, heading errors may grow to a whole step; tuned
-FAR_ERROR = 0.8 * TURN_STEP  # rad: corrected above, far away; tuned
-NEAR_ERROR = 0.55 * TURN_STEP  # rad: corrected above, close; tuned
+FAR_ERROR = 0.8 * TURN_STEP  # rad: larger errors are corrected, far away; tuned
+NEAR_ERROR = 0.55 * TURN_STEP  # rad: larger errors are corrected, close by; tuned
 AIMED = 0.35  # rad: heading error up to which the robot drives on; tuned
-ARC = 1.1  # rad: the same where there is room for an arc; tuned
-ARC_DISTANCE = 0.6  # units: such room; twice the arc's radius, measured: 0.32
+ARC = 1.1  # rad: the same if there is room for an arc; tuned
+ARC_DISTANCE = 0.6  # units: such room, twice the arc's radius (measured: 0.32)
 
 # How a block is brought between the open fingers.
-ARRIVED = 0.16  # units from the gate that are near enough; tuned
+ARRIVED = 0.16  # units from the gate at which the robot has reached it; tuned
 DIRECT = GATE_DISTANCES[0] + 0.12  # units: nearer blocks are approached without a path; tuned
 STRAIGHT_CLEARANCE = DRIVING_CLEARANCE - 0.04  # units to others on the straight approach; tuned
-CROWDED_CONE = 0.25  # rad off its side within which it then starts; tuned
+CROWDED_CONE = 0.25  # rad: replaces `CONE` if other blocks are near; tuned
 FINGER_END = 0.46  # units ahead up to which a block beside a finger is hit; tuned
 
 # Where turning and closing fingers touch blocks.
-SWEEP_START = 0.1  # units ahead of the robot's centre where it begins; tuned
-SWEEP_MARGIN = 0.5  # rad on both sides of a turn that the fingers sweep too; tuned
-ARC_SWEEP = 1.3  # of `SWEEP_RADIUS`: nearer blocks forbid an arc; tuned
+SWEEP_START = 0.1  # units ahead of the robot's centre where the sweep begins; tuned
+SWEEP_MARGIN = 0.5  # rad on both sides of a turn that the fingers also sweep; tuned
+ARC_SWEEP = 1.3  # times `SWEEP_RADIUS`: nearer blocks rule out an arc; tuned
 CLOSING_LENGTH = 0.5  # units ahead up to which closing fingers touch a block; tuned
 CLOSING_HALF_WIDTH = 0.25  # units to the side up to which they do; tuned
 
 # Room behind the robot, and how it leaves a block.
-REAR = 0.1  # units behind the robot's centre where free space is sought; tuned
+REAR = 0.1  # units behind the robot's centre where free space is required; tuned
 REAR_LIMIT = 0.82  # units: largest coordinate of that point; tuned
-OFF_AXIS = 0.06  # units: a block this far off the axis is turned away from; tuned
+OFF_AXIS = 0.06  # units: the robot turns away from a block this far off its axis; tuned
 
 _ESCAPES = (
     (Longitudinal.BACK, Turn.STRAIGHT),
@@ -75,7 +75,7 @@ def travel(
 ) -> int:
     """The action that drives to a point around blocks that must not be moved.
 
-    With `push_aside` the robot pushes blocks aside where it would otherwise back off.
+    With `push_aside` the robot pushes blocks aside instead of backing off.
     """
     clearance = CONTACT_DISTANCE if push_aside else DRIVING_CLEARANCE
     point = next_waypoint(view.position, goal, obstacles, clearance, view.angle)
@@ -116,7 +116,7 @@ def _is_direct(view: StateView, block: Point, side: float, others: Sequence[Poin
 
 
 def _close_in(view: StateView, block: Point, others: Sequence[Point], push_aside: bool) -> int:
-    """Drive straight at the block; back off first where a turn would push something."""
+    """Drive straight at the block; back off first if a turn would push something."""
     away = view.distance_to(block)
     error = _heading_error(view, bearing(view.position, block))
     is_misaimed = abs(error) > AIMED
@@ -135,7 +135,7 @@ def _close_in(view: StateView, block: Point, others: Sequence[Point], push_aside
 
 
 def remaining_distance(view: StateView, block: Point, side: float) -> float:
-    """About how far the robot has to drive until it can grasp a block at bearing `side`."""
+    """Approximate distance that the robot must drive to grasp a block at bearing `side`."""
     if abs(wrap_angle(bearing(view.position, block) - side)) < CONE:
         return view.distance_to(block)
     return view.distance_to(gate_point(block, side)) + GATE_DISTANCES[0]
@@ -151,10 +151,10 @@ def back_off(view: StateView, blocks: Sequence[Point]) -> int | None:
 
 
 def escape(attempt: int, with_block: bool) -> int:
-    """The action that drives away where the robot is stuck: backwards, then in other ways.
+    """The action that drives a stuck robot away: backwards, then in other ways.
 
     Args:
-        attempt: times that the robot has been stuck, from 1; each tries another way.
+        attempt: how often the robot has been stuck, from 1; each time tries another way.
         with_block: whether to pull the held block along instead of releasing it.
     """
     if with_block:
@@ -163,7 +163,7 @@ def escape(attempt: int, with_block: bool) -> int:
 
 
 def _heading_error(view: StateView, heading: float) -> float:
-    """Radians left to turn, counter-clockwise, once the present turn has come to rest."""
+    """Radians left to turn, counter-clockwise, once the current turn has come to rest."""
     stopping = view.spin * abs(view.spin) / (2 * BRAKING)
     return wrap_angle(heading - view.angle - stopping)
 
@@ -193,7 +193,7 @@ def _open(drive: Longitudinal, turn: Turn) -> int:
 
 
 def _drive(view: StateView, point: Point, error: float, is_arc_free: bool = True) -> int:
-    """Head for a point; on an arc where one is free and there is room for it."""
+    """Head for a point, on an arc if one is free and there is room for it."""
     distance = view.distance_to(point)
     turn = _turn_towards(error, FAR_ERROR if distance > FAR_DISTANCE else NEAR_ERROR)
     widest = ARC if is_arc_free and distance > ARC_DISTANCE else AIMED
@@ -207,7 +207,7 @@ def _leave(view: StateView, block: Point) -> int:
 
 
 def _block_between_fingers(view: StateView, others: Sequence[Point]) -> Point | None:
-    """The block between the open fingers, if any, and if there is room to back off."""
+    """The block between the open fingers; None if there is none, or no room to back off."""
     if not _has_wall_free_rear(view):
         return None
     return next((other for other in others if is_between_fingers(view, other)), None)

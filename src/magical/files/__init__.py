@@ -1,6 +1,6 @@
 """Files that several processes write and read.
 
-- `atomic`: writing and linking under a temporary name, removing what killed processes left.
+- `atomic`: writing and linking under a temporary name, removing what killed processes left behind.
 - `lock`: file locks.
 - `owned`: folders that one process at a time writes to.
 - `regular`: opening and reading regular files only.

@@ -14,25 +14,26 @@ from pathlib import Path
 from typing import IO
 
 _PARTIAL = re.compile(r"\.(?P<name>.+)\.[0-9a-f]+\.part")  # the target's name, a random number
-_FULL = errno.ENOSPC, errno.EDQUOT, errno.EFBIG  # of a write, whose error names no file
-_PAUSES = 0.01, 0.05, 0.2, 0.5  # seconds, on Windows
+_FULL = errno.ENOSPC, errno.EDQUOT, errno.EFBIG  # errors of a write that name no file
+_PAUSES = 0.01, 0.05, 0.2, 0.5  # seconds between attempts, on Windows
 
 
 @contextmanager
 def write_atomically(path: Path | str) -> Iterator[IO[bytes]]:
-    """Open a new file under a temporary name beside `path`, renamed to it if the block succeeds.
+    """Open a new file under a temporary name next to `path`; it is renamed if the block succeeds.
 
-    Missing folders are made. If the block raises, nothing is left behind and an older file at
-    `path` stays as it was. If the machine fails, the older file or the new one is there, whole.
+    Missing folders are created. If the block raises, nothing is left behind and an older file at
+    `path` stays unchanged. If the machine crashes, the older or the new file is there, intact.
 
     Raises:
-        OSError: the folder cannot be made or written to, or the disk is full; names `path`.
+        OSError: the folder cannot be created or written to, or the disk is full; the error names
+            `path`.
     """
     target = Path(path)
     make_folder(target.parent)
     temporary = _temporary(target)
     try:
-        file = temporary.open("xb")  # x: never a file or link that is there already
+        file = temporary.open("xb")  # x: never an existing file or link
         with _removed(temporary), file:
             yield file
             file.close()
@@ -47,10 +48,10 @@ def write_atomically(path: Path | str) -> Iterator[IO[bytes]]:
 
 
 def make_folder(path: Path) -> None:
-    """Make a folder and those above it, where they are missing.
+    """Create a folder and its parents, if they are missing.
 
     Raises:
-        OSError: a folder cannot be made; a message of ours where something else is in its place.
+        OSError: a folder cannot be created; if something else is in its place, the message says so.
     """
     try:
         path.mkdir(parents=True, exist_ok=True)
@@ -61,9 +62,10 @@ def make_folder(path: Path) -> None:
 
 
 def link_atomically(source: Path, target: Path) -> None:
-    """Keep a file under a second name too; an older file at `target` is replaced.
+    """Give a file a second name; an older file at `target` is replaced.
 
-    A hard link, or a copy on a file system without them. Neither may be changed in place later.
+    This is a hard link, or a copy on a file system without hard links. Neither file may be modified
+    in place later.
 
     Raises:
         OSError: the folder cannot be written to, or the disk is full.
@@ -80,7 +82,7 @@ def link_atomically(source: Path, target: Path) -> None:
 
 
 def _replace(temporary: Path, target: Path) -> None:
-    """Rename a file; Windows refuses that while another process has the older one open."""
+    """Rename a file; Windows refuses while another process has the older one open, so retry."""
     for pause in _PAUSES if sys.platform == "win32" else ():
         try:
             temporary.replace(target)
@@ -106,12 +108,12 @@ def _removed(temporary: Path) -> Iterator[None]:
 
 
 def remove_partial_files(folder: Path, *names: str) -> None:
-    """Remove the temporary files that killed processes left when they wrote files to a folder.
+    """Remove the temporary files left by processes that were killed while writing to a folder.
 
     Args:
-        folder: not searched if it is missing or a symbolic link; nor are folders in it.
-        names: of the files that were written, as patterns of `fnmatch`. No other process may be
-            writing a file of such a name: the caller holds the lock for that.
+        folder: not searched if it is missing or a symbolic link; nor are its subfolders.
+        names: the names of the files that were written, as patterns of `fnmatch`. No other process
+            may be writing a file with such a name: the caller holds the lock for that.
     """
     if folder.is_symlink() or not folder.is_dir():
         return
@@ -121,6 +123,6 @@ def remove_partial_files(folder: Path, *names: str) -> None:
 
 
 def is_partial(file: Path, *names: str) -> bool:
-    """Whether a file is a temporary one, for a file whose name matches one of the patterns."""
+    """Whether a file is the temporary one of a file whose name matches one of the patterns."""
     found = _PARTIAL.fullmatch(file.name)
     return found is not None and any(fnmatchcase(found["name"], name) for name in names)

@@ -1,4 +1,4 @@
-"""File locks between processes and threads; the end of a process, or a kill, releases its locks."""
+"""File locks between processes and threads; a process that ends or is killed releases its locks."""
 
 import errno
 import os
@@ -16,8 +16,8 @@ if sys.platform == "win32":
 else:
     import fcntl
 
-_DIGITS = 20  # of a process id that is read
-PAUSES = 0.01, 0.05  # seconds: `is_locked` in another process holds a lock for a moment
+_DIGITS = 20  # the most digits of a process id that are read
+PAUSES = 0.01, 0.05  # seconds between attempts: `is_locked` elsewhere briefly holds a lock
 
 
 class LockedError(Exception):
@@ -36,8 +36,8 @@ class LockedError(Exception):
 def locked(path: Path, *, reading: bool = False) -> Iterator[None]:
     """Hold a lock on the file `path`: exclusive, or with `reading` shared with other readers.
 
-    Waits until the lock is free. A reader takes no lock where there is no lock file, as in a
-    read-only copy, or where the file system has no locks.
+    Waits until the lock is free. A reader takes no lock if there is no lock file, as in a read-only
+    copy, or if the file system has no locks.
 
     Raises:
         OSError: the lock file cannot be created, is not a regular file, or cannot be locked.
@@ -55,7 +55,7 @@ def locked(path: Path, *, reading: bool = False) -> Iterator[None]:
 
 @contextmanager
 def lock_now(path: Path) -> Iterator[None]:
-    """Hold an exclusive lock on the file `path`, which gets the process id, or raise at once.
+    """Hold an exclusive lock on the file `path`, without waiting, and write the process id to it.
 
     Raises:
         LockedError: another process or thread holds it.
@@ -82,7 +82,7 @@ def lock_now(path: Path) -> Iterator[None]:
 def is_locked(path: Path) -> bool:
     """Whether another process, or an open file of this one, holds an exclusive lock on a file.
 
-    None does where the file system has no locks.
+    Always false if the file system has no locks.
 
     Raises:
         OSError: the file cannot be opened, or is not a regular file.
@@ -106,7 +106,7 @@ def _holder(path: Path) -> int | None:
 
 
 if sys.platform == "win32":
-    _LOCKED_BYTE = 1 << 30  # beyond the contents, which others could not read if it were in them
+    _LOCKED_BYTE = 1 << 30  # beyond the contents, so that others can read them
 
     def _lock(file: IO[bytes], path: Path, *, reading: bool, wait: bool) -> None:
         while True:
@@ -124,7 +124,7 @@ if sys.platform == "win32":
         msvcrt.locking(file.fileno(), msvcrt.LK_UNLCK, 1)
 
 else:
-    # Of file systems without locks: some network file systems, as they are mounted.
+    # Errors of file systems without locks: some network file systems, depending on their mount.
     _NO_LOCKS = errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP
 
     def _lock(file: IO[bytes], path: Path, *, reading: bool, wait: bool) -> None:

@@ -1,4 +1,4 @@
-"""Folders that one process at a time owns: their lock, their creation, and a full disk."""
+"""Folders owned by one process at a time: their lock, their creation, and a full disk."""
 
 import errno
 from collections.abc import Iterator
@@ -19,11 +19,11 @@ class OwnedFolder:
 
     Attributes:
         path: the folder.
-        files: what the owner writes in it, as patterns of `fnmatch`. The first is there from the
-            folder's creation on: a folder with other files and without this one is refused.
-        error: what is raised.
-        use: what the owner does, in the message to another process: `trains this run`.
-        advice: what to do when there is space again, in the message that the disk is full.
+        files: the files that the owner writes in it, as patterns of `fnmatch`. The first exists
+            from the folder's creation on: a folder with other files but not this one is refused.
+        error: the class of the error to raise.
+        use: what the owner does, for the message in another process, such as `trains this run`.
+        advice: what to do once there is space again, for the message that the disk is full.
     """
 
     path: Path
@@ -37,7 +37,7 @@ class OwnedFolder:
         return (self.path / self.files[0]).is_file()
 
     def require_new(self) -> None:
-        """Raise unless there is nothing, or an empty folder, or what a killed creation left."""
+        """Raise unless the folder is missing, empty, or holds only what a killed creation left."""
 
         def unfinished(file: Path) -> bool:
             return file.name == LOCK or is_partial(file, self.files[0])
@@ -61,7 +61,8 @@ class OwnedFolder:
 
         Raises:
             MagicalError: of the class `error`; another process or thread holds the lock, the folder
-                holds other files, or the disk is full, then or in the block.
+                holds other files, or the disk is full, on entry or in the block.
+            OSError: any other error of the file system, on entry or in the block.
         """
         try:
             if self.path.is_symlink() or not self.exists():
@@ -89,7 +90,7 @@ class OwnedFolder:
 
 
 def is_out_of_space(error: BaseException | None) -> bool:
-    """Whether an error, or one that led to it, is that no space (or quota) is left."""
+    """Whether an error, or one that led to it, means that no space (or quota) is left."""
     while error is not None:
         if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
             return True

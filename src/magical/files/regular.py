@@ -17,7 +17,7 @@ _FLAGS = {
     "wb": os.O_WRONLY | os.O_CREAT,  # truncated after the check
     "ab": os.O_WRONLY | os.O_CREAT | os.O_APPEND,
 }
-# None of these exists on every platform; O_NONBLOCK keeps the opening of a FIFO from waiting.
+# None of these exists on every platform; O_NONBLOCK keeps the opening of a FIFO from blocking.
 _SAFE = sum(getattr(os, name, 0) for name in ("O_NONBLOCK", "O_CLOEXEC", "O_BINARY"))
 _NO_LINKS = getattr(os, "O_NOFOLLOW", 0)
 
@@ -61,12 +61,12 @@ def read_regular(path: Path, max_bytes: int) -> bytes:
         size = os.fstat(file.fileno()).st_size
         if size > max_bytes:
             raise OSError(errno.EFBIG, f"more than {max_bytes} bytes", str(path))
-        return file.read(size)  # allocates what is asked for at once, whatever there is
+        return file.read(size)  # allocates as many bytes as are asked for, whatever there is
 
 
 @contextmanager
 def reading(path: Path, error: type[MagicalError]) -> Iterator[None]:
-    """A context that reads a file: an `OSError` in it becomes one of the class `error`."""
+    """A context for reading a file: an `OSError` in it is raised as the class `error`."""
     try:
         yield
     except OSError as problem:

@@ -1,7 +1,7 @@
-"""The autoencoder of apprenticeship learning: features of observations and actions (appendix B).
+"""The autoencoder for apprenticeship learning: features of observations and actions (appendix B).
 
-The encoder is the discriminator's network with its last layer removed and the one before it made
-32 wide. The decoder is that of docs/specification.md, section 10.
+The encoder is the discriminator's network with its last layer removed and the layer before it set
+to 32 units. The decoder is specified in docs/specification.md, section 10.
 """
 
 from pathlib import Path
@@ -19,7 +19,7 @@ from magical.scene import NUM_ACTIONS
 
 FEATURES = 32
 HIDDEN = 128
-START = (64, 6, 6)  # channels, rows, columns that the decoder's convolutions start from
+START = (64, 6, 6)  # channels, rows, columns of the input of the decoder's convolutions
 DOUBLINGS = ((64, 64), (64, 32), (32, 32), (32, None))  # output channels; None: the image's
 SIZE = START[1] * 2 ** len(DOUBLINGS)  # pixels
 
@@ -28,7 +28,7 @@ class Autoencoder(nn.Module):
     """Encodes images (B, C, 96, 96) and actions (B,) as features (B, 32), and decodes them.
 
     Attributes:
-        mean_image: (C, 96, 96), the image that the decoder's output is added to; 0 at first.
+        mean_image: (C, 96, 96), the image added to the decoder's output; initially 0.
     """
 
     def __init__(
@@ -41,8 +41,9 @@ class Autoencoder(nn.Module):
         """Build an autoencoder, with PyTorch's initialisation.
 
         Args:
-            settings: the encoder's. In the published code, each ReLU of the decoder's convolutions
-                is followed by batch norm; its pixels are in [0, 1] whatever the encoder's are.
+            settings: the encoder's. Under the published code's conventions, batch norm follows each
+                ReLU of the image decoder. The decoder's pixels are in [0, 1] whatever the range of
+                the encoder's.
             image_shape: (C, 96, 96).
             linear_features: leave out the ReLU after the encoder's last layer.
         """
@@ -65,11 +66,11 @@ class Autoencoder(nn.Module):
         self.image = _image_decoder(image_shape[0], settings.published)
         self.mean_image: Tensor
         self.register_buffer("mean_image", torch.zeros(image_shape))
-        # Convolutions are fastest with this memory layout; PyTorch's overloads leave it out.
+        # Convolutions are fastest with this memory layout; PyTorch's typed overloads lack it.
         self.image.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     def forward(self, images: Tensor, actions: Tensor) -> tuple[Tensor, Tensor]:
-        """Reconstructed images (B, C, 96, 96) and logits of actions (B, 18)."""
+        """Return reconstructed images (B, C, 96, 96) and logits of the actions (B, 18)."""
         hidden = self.hidden(self.encoder(images, actions))
         start = self.start(hidden).view(-1, *START)
         difference = self.image(start.contiguous(memory_format=torch.channels_last))
@@ -77,7 +78,7 @@ class Autoencoder(nn.Module):
 
 
 def _image_decoder(channels: int, batch_norm: bool) -> nn.Sequential:
-    """Feature maps (B, 64, 6, 6) to images (B, channels, 96, 96)."""
+    """A module from feature maps (B, 64, 6, 6) to images (B, channels, 96, 96)."""
     layers: list[nn.Module] = []
     inputs = START[0]
     for doubled, last in DOUBLINGS:
@@ -94,13 +95,13 @@ def _image_decoder(channels: int, batch_norm: bool) -> nn.Sequential:
 def autoencoder_loss(
     images: Tensor, actions: Tensor, reconstructed: Tensor, logits: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Mean squared image error and cross-entropy of the actions; their sum is to be minimised."""
+    """Return the terms of the loss: mean squared image error and cross-entropy of the actions."""
     error = functional.mse_loss(reconstructed.float(), images)
     return error, functional.cross_entropy(logits.float(), actions)
 
 
 def save_reconstructions(path: Path, images: Tensor, reconstructed: Tensor) -> None:
-    """Write a PNG of the newest frame of each stack (B, C, H, W) in [0, 1], originals above."""
+    """Write a PNG of the newest frame of each stack (B, C, H, W) in [0, 1], originals on top."""
     rows = [torch.cat(list(stacks[:, -3:]), dim=2) for stacks in (images, reconstructed)]
     both = torch.cat(rows, dim=1).float().clamp(0.0, 1.0).mul(255.0).round()  # (3, 2H, B * W)
     pixels = both.to(torch.uint8).permute(1, 2, 0).cpu().numpy()

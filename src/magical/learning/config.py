@@ -1,8 +1,8 @@
-"""Configurations: composed of small records, flat on the command line and in run folders.
+"""Configurations: composed of small records, but flat on the command line and in run folders.
 
-The configuration of an algorithm is a frozen dataclass. Its own fields, and those of the records
-that it is composed of, are the command line's options, the settings of `preset` and of plans, and
-the record in the run folder. Defaults are the published settings. Nothing here needs PyTorch.
+An algorithm's configuration is a frozen dataclass. Its own fields and those of its records are the
+options on the command line, the settings of `preset` and of plans, and what the run folder records.
+Defaults are the published settings. Nothing here needs PyTorch.
 """
 
 import dataclasses
@@ -48,7 +48,7 @@ METAVARS = {int: "N", float: "X", str: "NAME", bool: None}
 
 @dataclass(frozen=True, kw_only=True)
 class EncoderSettings(Settings):
-    """What a network observes, and what turns it into features."""
+    """A network's observation, and the architecture that turns it into features."""
 
     observation: str = option("LoRes4E", "observation")
     network: str = option(
@@ -58,7 +58,7 @@ class EncoderSettings(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class NetworkSettings(EncoderSettings):
-    """What the paper's networks observe, and how they are built."""
+    """The observation and construction of the paper's networks."""
 
     conventions: str = option(
         APPENDIX,
@@ -74,16 +74,16 @@ class NetworkSettings(EncoderSettings):
 
     @property
     def pixel_range(self) -> str:
-        """The range of the networks' images, of `PIXEL_RANGES`."""
+        """The pixel range of the networks' images, a key of `PIXEL_RANGES`."""
         return "symmetric" if self.published else "unit"
 
     @property
     def action_input(self) -> str:
-        """How networks of rewards take actions, of `magical.learning.models.JOINED`."""
+        """How reward networks take actions as input, a key of `magical.learning.models.JOINED`."""
         return "embedding" if self.published else "one-hot"
 
     def augmentations(self, names: str) -> Augmentations:
-        """The augmentations of these names, with the borders and colours of the conventions."""
+        """The augmentations with these names, with borders and colours as in the conventions."""
         chosen = parse_augmentations(names)
         if self.published:
             return dataclasses.replace(chosen, borders="repeat", linear_light=False)
@@ -92,7 +92,7 @@ class NetworkSettings(EncoderSettings):
 
 @dataclass(frozen=True, kw_only=True)
 class DemonstrationSettings(Settings):
-    """Which demonstrations are learned from."""
+    """Which demonstrations to learn from."""
 
     demos: str = option(MISSING, "folder with a dataset of demonstrations", metavar="FOLDER")
     num_demos: int = option(10, "demonstrations of each task, sampled by the seed", POSITIVE)
@@ -100,15 +100,16 @@ class DemonstrationSettings(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class Config(Settings):
-    """Settings of every algorithm's runs."""
+    """Settings common to the runs of all algorithms."""
 
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {"paper": {}}
-    observations: ClassVar[tuple[str, ...]] = IMAGE_OBSERVATIONS  # of this package, that it takes
-    # Seconds of a core for a sample in training and for an action, where no network of the
-    # registry decides on them; only to estimate the time of a run.
+    # The observations of this package that the algorithm accepts.
+    observations: ClassVar[tuple[str, ...]] = IMAGE_OBSERVATIONS
+    # Core-seconds per training sample and per action, for algorithms whose cost does not depend on
+    # a network of the registry; used only to estimate the time of a run.
     seconds_each: ClassVar[tuple[float, float] | None] = None
 
-    algorithm: str = ""  # its name, that of an entry point, or `module:NAME`
+    algorithm: str = ""  # its name, an entry point's name, or `module:NAME`
     tasks: tuple[str, ...] = option(MISSING, "tasks to learn, one or several", metavar="TASK")
     seed: int = option(
         0, "determines demonstrations, initialisation, minibatches and episodes", NOT_NEGATIVE
@@ -156,13 +157,13 @@ class Config(Settings):
             )
 
     def part(self, kind: type[Part]) -> Part | None:
-        """The record of a type that the configuration is composed of; `None` if it has none."""
+        """The configuration's record of this type; `None` if it has none."""
         values = (getattr(self, field.name) for field in dataclasses.fields(self))
         return next((value for value in values if isinstance(value, kind)), None)
 
     @property
     def learned_from(self) -> tuple[str, ...]:
-        """What is learned from, in the words of `magical.runs.sources`."""
+        """What the run learns from, in the terms of `magical.runs.sources`."""
         networks = self.part(EncoderSettings)
         demonstrations = (DEMONSTRATIONS,) if self.part(DemonstrationSettings) else ()
         pretrained = networks is not None and is_pretrained(networks.network)
@@ -170,7 +171,7 @@ class Config(Settings):
 
     @property
     def training_details(self) -> dict[str, Any]:
-        """How a policy is trained, for `details` of `entry.json` (docs/protocol.md)."""
+        """How a policy is trained, for the `details` of `entry.json` (docs/protocol.md)."""
         demonstrations = self.part(DemonstrationSettings)
         details: dict[str, Any] = {"algorithm": self.algorithm, "training_seed": self.seed}
         if demonstrations:
@@ -180,17 +181,17 @@ class Config(Settings):
 
     @property
     def num_updates(self) -> int:
-        """The number of steps (batches or updates) of a whole run; every class defines it."""
+        """The number of steps (batches or updates) in a whole run; every subclass defines it."""
         raise NotImplementedError(f"{type(self).__name__} defines no num_updates")
 
     @property
     def training_samples(self) -> int:
-        """The samples of all forward and backward passes of a whole run, to estimate its time."""
+        """Samples in all forward and backward passes of a whole run, for estimating its time."""
         return 0
 
     @property
     def environment_steps(self) -> int:
-        """The steps of environments in a whole run, to estimate its time."""
+        """Environment steps in a whole run, for estimating its time."""
         return 0
 
     @property
@@ -202,7 +203,7 @@ class Config(Settings):
 
     @property
     def action_space(self) -> ActionSpaceName:
-        """The kind of actions that the policy takes, and that demonstrations are read as."""
+        """The action space of the policy, to which the actions of demonstrations are converted."""
         return "discrete"
 
     @property
@@ -225,12 +226,12 @@ class Config(Settings):
 
     @property
     def network_precision(self) -> str:
-        """`precision`, but that `auto` is float32 where positions need more digits than pixels."""
+        """`precision`, but `auto` means float32 for state vectors, which need more digits."""
         exact = self.precision == "auto" and self.observes_vectors
         return "float32" if exact else self.precision
 
     def require_one_task(self) -> None:
-        """Raise `InvalidConfigError` for several tasks."""
+        """Raise `InvalidConfigError` if there are several tasks."""
         if len(self.tasks) > 1:
             raise InvalidConfigError(
                 f"{self.algorithm}: expected one task (it is not defined for several), found "
@@ -239,11 +240,11 @@ class Config(Settings):
 
     @classmethod
     def preset(cls, name: str, /, **settings: Any) -> Self:
-        """A preset's settings, by the options' names, some of them replaced.
+        """The configuration of a preset, with some settings, given by option name, replaced.
 
         Raises:
             UnknownNameError: an unknown preset or setting.
-            InvalidConfigError: missing settings, or settings that cannot be.
+            InvalidConfigError: missing or invalid settings.
         """
         if name not in cls.presets:
             raise UnknownNameError(
@@ -253,7 +254,7 @@ class Config(Settings):
 
     @classmethod
     def _of(cls, settings: Mapping[str, Any]) -> Self:
-        """The configuration of settings by the options' names, the others being the defaults."""
+        """The configuration with these settings, by option name, and defaults for all others."""
         fields, parts = by_part(cls, settings)
         if missing := [o.name for o in options(cls) if o.required and o.name not in settings]:
             raise InvalidConfigError(f"expected the setting {missing[0]}, found none")
@@ -267,11 +268,11 @@ class Config(Settings):
         return cls(**fields)
 
     def replace(self, **settings: Any) -> Self:
-        """The same configuration with some settings, by the options' names, replaced."""
+        """A copy of the configuration with some settings, given by option name, replaced."""
         return self._of({**self.to_dict(), **settings})
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data for JSON: a mapping of all options, and the algorithm."""
+        """Plain data for JSON: the algorithm, and all options by name."""
         plain: dict[str, Any] = {"algorithm": self.algorithm}
         for part, field, _ in all_fields(type(self)):
             value = getattr(getattr(self, part) if part else self, field.name)
@@ -283,11 +284,11 @@ class Config(Settings):
         """The inverse of `to_dict`.
 
         Args:
-            data: checked here, as it may come from a file of any origin.
-            what: what it came in, for messages.
+            data: the settings; checked here, as they may come from an untrusted file.
+            what: where the data came from, for error messages.
 
         Raises:
-            InvalidConfigError: unknown or missing settings, or settings that cannot be.
+            InvalidConfigError: unknown, missing or invalid settings.
         """
         try:
             return cls._of(data)
@@ -297,7 +298,7 @@ class Config(Settings):
 
 @dataclass(frozen=True, slots=True)
 class Option:
-    """A configuration field as an option of the command line."""
+    """A configuration field as a command-line option."""
 
     name: str
     kind: type
@@ -305,18 +306,18 @@ class Option:
     required: bool
     default: Any
     help: str
-    choices: tuple[str, ...]  # those of this package
-    open: bool  # whether other values can come from other distributions
+    choices: tuple[str, ...]  # from this package
+    open: bool  # whether other distributions can add values
     metavar: str | None
 
     @property
     def flag(self) -> str:
-        """For instance `--num-demos`."""
+        """The flag, for instance `--num-demos`."""
         return "--" + self.name.replace("_", "-")
 
 
 def options(kind: type[Config]) -> list[Option]:
-    """The options of a configuration class: required ones first, then in the fields' order."""
+    """The options of a configuration class: required ones first, otherwise in field order."""
     found = []
     records = {field.name: default_of(field) for field in dataclasses.fields(kind)}
     for part, field, hint in all_fields(kind):

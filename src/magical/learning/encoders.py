@@ -1,7 +1,7 @@
-"""Frozen image encoders that were trained elsewhere, as network architectures.
+"""Frozen, pre-trained image encoders as network architectures.
 
-An encoder sees each frame of a stack by itself. What is learned here are the linear layers on its
-features. It is no part of a checkpoint, which holds the digest of its weights instead.
+An encoder processes each frame of a stack separately. Only the linear layers on its features are
+trained here. Checkpoints hold a digest of the encoder's weights instead of the weights.
 """
 
 import hashlib
@@ -21,7 +21,7 @@ from magical.scene.constants import FRAME_SIZE
 
 RGB = tuple[float, float, float]
 
-# Of ImageNet's images, in [0, 1]: what most encoders expect.
+# Channel statistics of ImageNet's images, in [0, 1]: what most encoders expect.
 MEAN: RGB = (0.485, 0.456, 0.406)
 STD: RGB = (0.229, 0.224, 0.225)
 
@@ -33,9 +33,9 @@ class FrozenEncoder:
     Attributes:
         load: returns the encoder with its weights, a module from frames (B, 3, H, W) to features
             (B, F, ...).
-        mean: of each channel of the images that it was trained on, in [0, 1].
-        std: their standard deviation.
-        size: the height and width that frames are resized to; `None`: they are taken as they are.
+        mean: the mean of each channel over the images that it was trained on, in [0, 1].
+        std: the standard deviation of each channel.
+        size: the height and width that frames are resized to; `None`: they are not resized.
         HIDDEN: the sizes of the linear layers.
     """
 
@@ -49,16 +49,15 @@ class FrozenEncoder:
     PRETRAINED: ClassVar[bool] = True
 
     def make_convolutions(self, channels: int, batch_norm: bool) -> "FrameFeatures":
-        """See `magical.learning.networks`; batch norm is of the features."""
+        """See `magical.learning.networks`; batch norm applies to the features."""
         return FrameFeatures(self, batch_norm)
 
 
 class FrameFeatures(nn.Module):
-    """Images (B, channels, H, W) in [0, 1] to the features of each frame, (B, frames * F * ...).
+    """Maps images (B, channels, H, W) in [0, 1] to features of each frame, (B, frames * F * ...).
 
-    The encoder is none of its submodules: it has nothing to train or save, and stays in evaluation
-    mode. Without batch norm of its features, which standardises each by itself, frames that are
-    nearly white differ in them by little.
+    The encoder is not a submodule: it has nothing to train or save, and stays in evaluation mode.
+    The features of nearly white frames differ little, unless batch norm standardises each feature.
     """
 
     digest: Tensor
@@ -80,7 +79,7 @@ class FrameFeatures(nn.Module):
         self.norm = nn.BatchNorm1d(num_features, affine=False) if batch_norm else nn.Identity()
 
     def forward(self, images: Tensor) -> Tensor:
-        """The features."""
+        """Return the features."""
         (encoder,) = self._encoder
         frames = images.reshape(-1, CHANNELS, *images.shape[2:])  # (B * frames, 3, H, W)
         if self._size is not None and frames.shape[2:] != (self._size, self._size):
@@ -91,13 +90,13 @@ class FrameFeatures(nn.Module):
         return flat
 
     def _apply(self, fn: Any, recurse: bool = True) -> Self:
-        """Move the encoder, too; PyTorch declares no types for this method."""
+        """Apply the function to the encoder too; this method is untyped in PyTorch."""
         self._encoder[0]._apply(fn)  # type: ignore[no-untyped-call]
         super()._apply(fn, recurse)  # type: ignore[no-untyped-call]
         return self
 
     def _load_from_state_dict(self, state_dict: Any, prefix: str, *rest: Any) -> None:
-        """Refuse what was learned on another encoder's features."""
+        """Reject weights that were trained on another encoder's features."""
         saved = state_dict.get(f"{prefix}digest")
         if saved is not None and not torch.equal(saved.cpu(), self.digest.cpu()):
             found, expected = (bytes(d.tolist()).hex()[:12] for d in (self.digest, saved))
@@ -118,13 +117,13 @@ def _digest(module: nn.Module) -> Tensor:
 
 
 def timm_encoder(name: str) -> FrozenEncoder:
-    """An encoder of PyTorch Image Models (timm) with its pre-trained weights.
+    """An encoder from PyTorch Image Models (timm) with its pre-trained weights.
 
-    Its output is pooled. Frames are resized only for a model of a fixed size.
+    Its output is pooled. Frames are resized only if the model has a fixed input size.
 
     Raises:
         MissingDependencyError: timm is not installed.
-        UnknownNameError: timm has no such model.
+        UnknownNameError: timm has no such model with pre-trained weights.
     """
     timm = library("timm", f"network timm:{name}")
     try:

@@ -17,10 +17,10 @@ class EnsemblePolicy:
     """Samples actions from the mean of several policies' distributions.
 
     Args:
-        members: policies of the same observation. The ensemble's tasks are those of all of them.
+        members: policies with the same observation. The ensemble's tasks are those they all share.
 
     Raises:
-        PolicyError: no members, members with different observations, or without a task in common.
+        PolicyError: no members, or members with different observations or no task in common.
     """
 
     def __init__(self, members: Sequence[NetworkPolicy]) -> None:
@@ -38,7 +38,7 @@ class EnsemblePolicy:
 
     @classmethod
     def load(cls, runs: Sequence[Path | str], device: str = "auto") -> Self:
-        """Load the policies of run folders; raises what `load_policy` raises."""
+        """Load the policies of run folders; raises `PolicyError` and what `load_policy` raises."""
         members = []
         for run in runs:
             policy = load_policy(run, device)
@@ -58,4 +58,4 @@ class EnsemblePolicy:
         return mean
 
     def reset(self, mask: Mask) -> None:
-        """Does nothing, as the members have no memory."""
+        """Do nothing, as the members have no memory."""

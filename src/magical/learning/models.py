@@ -21,23 +21,23 @@ from magical.learning.networks import find_network
 from magical.scene import NUM_ACTIONS
 
 EMBEDDING = 32  # size of the learnt embedding of an action (docs/specification.md, section 11)
-# Inputs that an action adds to the first and to the last linear layer, by how it is joined.
+# Inputs that an action adds to the first and the last linear layer, by how it is joined.
 JOINED = {"none": (0, 0), "one-hot": (NUM_ACTIONS, 0), "embedding": (0, EMBEDDING)}
 MEAN_BRIGHTNESS = 0.92  # of the tasks' frames, in [0, 1]
 POLICY_GAIN = 0.01  # factor of the policy's last layer under `centred`: nearly uniform actions
 
 
 class Trunk(nn.Module):
-    """Observations to features: everything but the last layer.
+    """Maps observations to features: a network without its last layer.
 
-    Images pass the architecture's convolutions, are flattened, and pass its linear layers. State
-    vectors pass the linear layers alone. An action is joined as a one-hot vector to the flattened
-    output of the convolutions, or as a learnt embedding to the input of the last linear layer
-    (the second of two in Fig. 11).
+    Images pass through the architecture's convolutions, are flattened, and pass through its linear
+    layers. State vectors pass through the linear layers only. An action is joined as a one-hot
+    vector to the flattened output of the convolutions, or as a learnt embedding to the input of the
+    last linear layer (the second of two in Fig. 11).
 
     Attributes:
         num_features: the size of the output.
-        map_shape: (C, H, W) of the convolutions' output, (size,) of state vectors.
+        map_shape: (C, H, W) of the convolutions' output, or (size,) of state vectors.
     """
 
     def __init__(
@@ -56,11 +56,11 @@ class Trunk(nn.Module):
             network: the architecture's name.
             input_shape: (C, H, W) of images or (size,) of state vectors.
             batch_norm: use batch norm in the convolutions.
-            action_input: how actions are joined: "one-hot", "embedding", or "none": `forward`
+            action_input: how actions are joined: "one-hot", "embedding", or "none" if `forward`
                 takes no actions.
             num_features: replaces the last linear layer's size.
-            pixel_range: the range that images are mapped to, unless the architecture takes one
-                only: "unit", [0, 1], or "symmetric", [-1, 1].
+            pixel_range: the range that images are mapped to, unless the architecture accepts only
+                one: "unit" for [0, 1], "symmetric" for [-1, 1].
 
         Raises:
             UnknownNameError: no such architecture.
@@ -81,7 +81,7 @@ class Trunk(nn.Module):
         self.linear = _linear_layers([math.prod(self.map_shape), *hidden], joined)
         self.embedding = nn.Embedding(NUM_ACTIONS, EMBEDDING) if joined[1] else None
         self.num_features = hidden[-1]
-        # Convolutions are fastest with this memory layout; PyTorch's overloads leave it out.
+        # Convolutions are fastest with this memory layout; PyTorch's typed overloads lack it.
         self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     def forward(
@@ -89,12 +89,12 @@ class Trunk(nn.Module):
     ) -> Tensor:
         """Features (B, num_features) of observations (B, ...), and of actions (B,) int64.
 
-        `in_range`: the observations are what `to_range` returned.
+        `in_range`: `to_range` has already been applied to the observations.
         """
         flat = self.feature_map(observations, in_range=in_range).flatten(1)  # (B, C * H * W)
         linear: nn.Module = self.linear
         if self.action_input == "embedding":
-            flat, linear = self.linear[:-2](flat), self.linear[-2:]  # a last layer and its ReLU
+            flat, linear = self.linear[:-2](flat), self.linear[-2:]  # the last layer and its ReLU
         if self.action_input != "none":
             assert actions is not None
             added = (
@@ -115,7 +115,7 @@ class Trunk(nn.Module):
         return mapped
 
     def to_range(self, observations: Tensor) -> Tensor:
-        """Images (B, C, H, W) in [0, 1] mapped to the range of this trunk; vectors unchanged."""
+        """Map images (B, C, H, W) in [0, 1] to this trunk's range; leave vectors unchanged."""
         low, high = self.pixels
         if self.convolutions is None or (low, high) == (0.0, 1.0):
             return observations
@@ -134,8 +134,8 @@ def _linear_layers(sizes: list[int], joined: tuple[int, int]) -> nn.Sequential:
     """Linear layers, each followed by a ReLU.
 
     Args:
-        sizes: of the first input, then of each layer's output.
-        joined: how many inputs the first and the last layer have besides.
+        sizes: the size of the first layer's input, then of each layer's output.
+        joined: the numbers of extra inputs of the first and the last layer.
     """
     inputs = sizes[:-1]
     inputs[0] += joined[0]
@@ -149,8 +149,8 @@ def _linear_layers(sizes: list[int], joined: tuple[int, int]) -> nn.Sequential:
 class TaskLinear(nn.Module):
     """A linear layer with separate weights for each task.
 
-    The outputs of all tasks are computed and each row's are selected: with at most eight tasks
-    that is cheaper than sorting rows, and shapes stay static.
+    The outputs for all tasks are computed, and each row's are selected: with at most eight tasks,
+    this is cheaper than sorting rows, and shapes stay static.
     """
 
     def __init__(self, inputs: int, outputs: int, num_tasks: int) -> None:
@@ -170,7 +170,7 @@ class TaskLinear(nn.Module):
 
 
 class PolicyNetwork(nn.Module):
-    """Logits of the 18 actions."""
+    """A policy: logits of the 18 actions."""
 
     def __init__(self, trunk: Trunk, num_tasks: int) -> None:
         super().__init__()
@@ -184,7 +184,7 @@ class PolicyNetwork(nn.Module):
 
 
 class ActorCritic(PolicyNetwork):
-    """Logits and values; policy and value function share the trunk."""
+    """An actor-critic: logits and values; policy and value function share the trunk."""
 
     def __init__(self, trunk: Trunk, num_tasks: int) -> None:
         super().__init__(trunk, num_tasks)
@@ -193,16 +193,16 @@ class ActorCritic(PolicyNetwork):
     def logits_and_values(
         self, observations: Tensor, tasks: Tensor, *, in_range: bool = False
     ) -> tuple[Tensor, Tensor]:
-        """Logits (B, 18) and values (B,) from one pass through the trunk; `in_range`: see there."""
+        """Logits (B, 18) and values (B,) from one pass of the trunk; `in_range`: see `Trunk`."""
         features = self.trunk(observations, in_range=in_range)
         return self.policy(features, tasks), self.value(features, tasks).squeeze(1)
 
 
 class Discriminator(nn.Module):
-    """One logit for an observation and an action; high means expert-like."""
+    """A discriminator: one logit per observation and action; high means expert-like."""
 
     def __init__(self, trunk: Trunk, num_tasks: int) -> None:
-        """`trunk` has an action input."""
+        """`trunk` must have an action input."""
         super().__init__()
         assert trunk.action_input != "none"
         self.trunk = trunk
@@ -215,17 +215,17 @@ class Discriminator(nn.Module):
 
 
 def init_normal(*layers: TaskLinear) -> None:
-    """Initialise weights and biases from N(0, 1), as the published code does with last layers."""
+    """Initialise weights and biases from N(0, 1), as the published code does for last layers."""
     for layer in layers:
         nn.init.normal_(layer.linear.weight)
         nn.init.normal_(layer.linear.bias)
 
 
 def centre(network: PolicyNetwork) -> None:
-    """Initialise a policy of images without batch norm so that it can tell frames apart.
+    """Initialise an image policy without batch norm so that it can tell frames apart.
 
-    With PyTorch's initialisation the difference between two frames, which are nearly white,
-    shrinks to a thousandth in the features. He initialisation keeps it, the first convolution's
+    With PyTorch's initialisation, the difference between two frames, which are nearly white,
+    shrinks to a thousandth in the features. He initialisation preserves it, the first convolution's
     biases cancel a uniform frame of mean brightness, and the initial policy is nearly uniform.
     """
     layers = [m for m in network.modules() if isinstance(m, nn.Conv2d | nn.Linear)]
@@ -245,11 +245,11 @@ def centre(network: PolicyNetwork) -> None:
 
 @contextmanager
 def new_statistics(network: nn.Module) -> Iterator[None]:
-    """A context in which batch norm's running statistics are computed anew, as means over batches.
+    """Context manager that recomputes batch norm's running statistics as means over batches.
 
-    Those of training are of other weights, which have changed since or are averaged now (Izmailov
-    et al., "Averaging weights leads to wider optima and better generalization", UAI 2018), or of
-    augmented images. Within the context the network must be in training mode.
+    The statistics from training belong to other weights, which have since changed or been averaged
+    (Izmailov et al., "Averaging weights leads to wider optima and better generalization", UAI
+    2018), or to augmented images. Within the context, the network must be in training mode.
     """
     layers = [module for module in network.modules() if isinstance(module, _BatchNorm)]
     momenta = [layer.momentum for layer in layers]

@@ -18,11 +18,11 @@ from magical.observe import ObservationSpec
 
 
 class TrainedPolicy:
-    """What the policies of all trained networks have in common.
+    """Base class of the policies of trained networks.
 
     Attributes:
         network, config, greedy: see `__init__`.
-        tasks, observation, action_space: those of its training.
+        tasks, observation, action_space: as in training.
     """
 
     def __init__(
@@ -31,12 +31,12 @@ class TrainedPolicy:
         """Create a policy.
 
         Args:
-            network: takes observations (B, ...) and tasks (B,). Pixels are scaled to [0, 1]
-                before, but for a network whose attribute `takes_pixels` is true.
-            config: of its training: the tasks, the observation and the action space.
+            network: takes observations (B, ...) and tasks (B,). Pixels are first scaled to [0, 1],
+                unless the network's attribute `takes_pixels` is true.
+            config: the configuration of its training: tasks, observation and action space.
             compute: device and precision.
-            greedy: take the most probable action instead of sampling; without effect on
-                continuous actions.
+            greedy: take the most probable action instead of sampling; has no effect on continuous
+                actions.
         """
         self.network = network.eval()
         self.config = config
@@ -48,21 +48,21 @@ class TrainedPolicy:
         self._compute = compute
 
     def act(self, observations: Any, env_ids: Sequence[str], rng: np.random.Generator) -> Actions:
-        """One action for each environment: (B,) int64, or (B, 3) float64 of continuous ones.
+        """One action for each environment: (B,) int64, or (B, 3) float64 if continuous.
 
         Raises:
-            PolicyError: observations of another shape, or a task that it was not trained on.
+            PolicyError: observations of the wrong shape, or a task that it was not trained on.
             DivergedError: the network's outputs are not finite.
         """
         raise NotImplementedError
 
     def reset(self, mask: Mask) -> None:
-        """Episodes start where the mask (B,) is true."""
+        """Start new episodes where the mask (B,) is true; does nothing unless overridden."""
 
     def outputs(self, observations: Any, env_ids: Sequence[str], *others: Tensor) -> Tensor:
-        """What the network returns, float64 on the CPU; raises what `act` raises.
+        """The network's outputs, float64 on the CPU; raises what `act` raises.
 
-        `others` are further inputs of the network.
+        `others` are further inputs to the network.
         """
         inputs = to_inputs(observations, self._spec).to(self._compute.device)
         if not getattr(self.network, "takes_pixels", False):
@@ -70,7 +70,7 @@ class TrainedPolicy:
         return self.computed(self.network, inputs, self.task_numbers(env_ids), *others)
 
     def computed(self, function: Callable[..., Tensor], *inputs: Tensor) -> Tensor:
-        """What a function of the network returns, computed as in training; float64 on the CPU."""
+        """Outputs of a function of the network, in the policy's precision; float64 on the CPU."""
         with torch.inference_mode(), full_float32(), self._compute.autocast():
             outputs = function(*(each.to(self._compute.device) for each in inputs))
         found: Tensor = outputs.double().cpu()
@@ -83,7 +83,7 @@ class TrainedPolicy:
         return found
 
     def task_numbers(self, env_ids: Sequence[str]) -> Tensor:
-        """The position (B,) of each environment's task; raises `PolicyError` for another task."""
+        """The position (B,) of each environment's task; raises `PolicyError` if not learned."""
         numbers = {}
         for env_id in dict.fromkeys(env_ids):
             task = parse_env_id(env_id).task
@@ -115,7 +115,7 @@ class NetworkPolicy(TrainedPolicy):
 def choose_actions(
     probabilities: NDArray[np.float64], rng: np.random.Generator, greedy: bool = False
 ) -> NDArray[np.int64]:
-    """Actions (B,) of distributions (B, 18): sampled, or the most probable ones."""
+    """Choose actions (B,) from distributions (B, 18): sampled, or the most probable ones."""
     if greedy:
         actions: NDArray[np.int64] = probabilities.argmax(axis=1)
         return actions
@@ -125,7 +125,7 @@ def choose_actions(
 def sample_actions(
     probabilities: NDArray[np.float64], uniforms: NDArray[np.float64]
 ) -> NDArray[np.int64]:
-    """Actions (B,) of distributions (B, 18), chosen by numbers (B,) that are uniform in [0, 1)."""
+    """Sample actions (B,) from distributions (B, 18) by uniform random numbers (B,) in [0, 1)."""
     cumulative = probabilities.cumsum(axis=1)
     thresholds = uniforms * cumulative[:, -1]
     actions: NDArray[np.int64] = (thresholds[:, None] >= cumulative).sum(axis=1)
@@ -133,10 +133,10 @@ def sample_actions(
 
 
 def to_inputs(observations: Any, spec: ObservationSpec) -> Tensor:
-    """Observations of an environment as a network's input, sharing their memory.
+    """Convert an environment's observations to a network's input, which shares their memory.
 
     Raises:
-        PolicyError: they are of another shape or type than specified.
+        PolicyError: their shape or type differs from the specification.
     """
     try:
         return torch.from_numpy(spec.network_input(observations))

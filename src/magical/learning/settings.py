@@ -1,4 +1,4 @@
-"""Records of options: what configurations are composed of, and how they are flattened."""
+"""Records of options: the parts of configurations, and how they are flattened."""
 
 import dataclasses
 import os
@@ -22,7 +22,7 @@ NOT_NEGATIVE: Check = (lambda number: number >= 0, "at least 0")
 BELOW_1: Check = (lambda number: 0 <= number < 1, "a number from 0 to below 1")
 FRACTION: Check = (lambda number: 0 <= number <= 1, "a number from 0 to 1")
 Part = TypeVar("Part", bound="Settings")
-# Of a class's fields; not cached, every annotation is evaluated anew.
+# The types of a class's fields, cached: each call would evaluate every annotation again.
 type_hints: Callable[[Any], dict[str, Any]] = cache(get_type_hints)
 
 
@@ -41,13 +41,13 @@ def option(
 
     Args:
         default: the published setting.
-        text: a line of help for the command line.
-        check: what a number must be.
-        choices: the allowed values, if there are only a few, or a function that finds them.
-        others: the group of entry points that other values are allowed from, or `module:NAME`.
-        parse: raises where a text is none of the allowed values.
-        metavar: what stands for the value in the command line's help.
-        name: of the option; the field's, unless it would be ambiguous outside its record.
+        text: one line of command-line help.
+        check: the condition that numbers must meet, and how messages describe it.
+        choices: the allowed values, if there are only a few, or a function that returns them.
+        others: the group of entry points whose names are also allowed, as is `module:NAME`.
+        parse: called with the value; raises an error unless it is allowed.
+        metavar: the placeholder for the value in command-line help.
+        name: the option's name, if the field's would be ambiguous outside its record.
     """
     metadata = {
         "help": text,
@@ -65,8 +65,8 @@ def option(
 class Settings:
     """A record of options: a part of a configuration, or a configuration.
 
-    Paths become texts, NumPy's numbers Python's, and what is given for a tuple, any iterable or one
-    text, a tuple: a record can be written as JSON.
+    Paths are converted to strings, NumPy's numbers to Python's, and for tuple fields any iterable
+    or a single string to a tuple, so that a record can be written as JSON.
     """
 
     def __post_init__(self) -> None:
@@ -90,7 +90,7 @@ def _plain(value: Any, hint: Any) -> Any:
 
 
 def _check_value(field: "dataclasses.Field[Any]", value: Any) -> None:
-    """Raise `InvalidConfigError` or `UnknownNameError` unless a field may have the value."""
+    """Raise `InvalidConfigError` or `UnknownNameError` unless the field allows the value."""
     name, choices = name_of(field), field.metadata["choices"]()
     others = field.metadata["others"]
     if choices and value not in choices and not (others and is_plugin(others, value)):
@@ -107,9 +107,10 @@ def _check_value(field: "dataclasses.Field[Any]", value: Any) -> None:
 
 
 def all_fields(kind: type[Settings]) -> Iterator[tuple[str, "dataclasses.Field[Any]", Any]]:
-    """Every option's field: the name of its record, empty for the class's own; itself; its type.
+    """Yield for each option the field name of its record, its own field and its type.
 
-    Raises `PluginError` for a class of which options cannot be made.
+    The record's name is empty for the class's own fields. Raises `PluginError` for a class that
+    cannot be turned into options.
     """
     places: dict[str, str] = {}
     for part, field, hint in _fields(kind):
@@ -149,7 +150,7 @@ def name_of(field: "dataclasses.Field[Any]") -> str:
 def by_part(
     kind: type[Settings], settings: Mapping[str, Any]
 ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
-    """Settings by the options' names as fields: the class's own, and those of each record."""
+    """Split settings, by option name, into the class's own fields and those of each record."""
     places = {name_of(field): (part, field.name) for part, field, _ in all_fields(kind)}
     own: dict[str, Any] = {}
     parts: dict[str, dict[str, Any]] = {}
@@ -167,5 +168,5 @@ def by_part(
 
 
 def default_of(field: "dataclasses.Field[Any]") -> Any:
-    """The default of a field that is a record; `None` if it has none."""
+    """The default of a field that holds a record; `None` if it has none."""
     return None if field.default_factory is MISSING else field.default_factory()

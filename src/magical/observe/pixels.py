@@ -36,12 +36,12 @@ class PixelSpec:
     Args:
         parts: the views in channel order, each with its number of frames.
         size: height and width in pixels.
-        samples: 1, 2 or 4; samples x samples are averaged in each pixel; `None` takes as many as
-            make 384 across, as the published pipeline does.
+        samples: 1, 2 or 4; samples x samples are averaged in each pixel; `None` takes the fewest
+            that make at least 384 across, at most 4, as in the published pipeline.
         separate: a dict of views instead of one array (size, size, 3 * frames).
         channels_first: arrays (3 * frames, size, size).
 
-    Before the first step the first frame is repeated. Raises `ObservationError` for impossible
+    Before the first step the first frame is repeated. Raises `ObservationError` for invalid
     settings, `UnknownNameError` for an unknown view.
     """
 
@@ -59,7 +59,7 @@ class PixelSpec:
             )
         except (UnknownNameError, ObservationError):
             raise
-        except (TypeError, ValueError):  # no pairs
+        except (TypeError, ValueError):  # not pairs
             parts = ()
         if not 0 < len(parts) == len({view for view, _ in parts}):
             raise ObservationError(
@@ -223,7 +223,7 @@ class PixelObserver:
             return
         from magical.render import shift_stack
 
-        # Shifting the whole array at once is fast; what crosses to another view is overwritten.
+        # Shifting the whole array at once is fast; what crosses into another view is overwritten.
         whole = np.moveaxis(self.out, 0, -1) if self.spec.channels_first else self.out
         shift_stack(whole)
         for renderer, stack in zip(self._renderers, self._stacks, strict=True):

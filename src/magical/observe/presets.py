@@ -34,11 +34,12 @@ PRESETS: Mapping[str, PixelSpec] = {
 
 RAW = PixelSpec(tuple((view, 1) for view in _BOTH), size=RAW_FRAME_SIZE, separate=True)
 
-# Other distributions' observations: an `ObservationSpec`, or a function from the task to one. Its
-# `to_dict` returns the name of the entry point, or `module:NAME`, for records of evaluations.
+# Entry points for other distributions' observations: each is an `ObservationSpec`, or a function
+# from the task to one, whose `to_dict` returns the name of the entry point, or `module:NAME`, for
+# records of evaluations.
 GROUP = "magical.observations"
 
-# Every other named observation of ours, a function of the task.
+# This package's other named observations, as functions of the task.
 NAMED: Mapping[str, Callable[[Task], ObservationSpec]] = {
     "raw": lambda task: RAW,
     STATE: lambda task: StateSpec(task.max_blocks, task.max_regions),
@@ -46,7 +47,7 @@ NAMED: Mapping[str, Callable[[Task], ObservationSpec]] = {
 
 
 def make_spec(observation: Observation, task: Task) -> ObservationSpec:
-    """The specification that `observation=` means for a task.
+    """The specification that `observation=` selects for a task.
 
     Args:
         observation: the name of a preset, of another observation in `NAMED` or of an entry point,
@@ -86,10 +87,10 @@ def make_spec(observation: Observation, task: Task) -> ObservationSpec:
 
 
 def parse_spec(text: str, task: Task) -> ObservationSpec:
-    """The specification that a text from outside names: a name, or `PixelSpec`'s fields as JSON.
+    """Parse an observation from untrusted text: a name, or `PixelSpec`'s fields as JSON.
 
-    No module that it names is imported, as `make_spec` would: a name must be ours or that of an
-    entry point. Raises what `make_spec` and `PixelSpec` do.
+    Unlike `make_spec`, this does not import `module:NAME`: the name must be one of this package's
+    or that of an entry point. Raises what `make_spec` and `PixelSpec` raise.
     """
     if text.startswith("{"):
         return parse_json(text, PixelSpec, "observation", UnknownNameError)

@@ -1,8 +1,8 @@
 """Observation specifications: the one interface to every kind of observation.
 
-An `ObservationSpec` owns its Gymnasium space, the arrays it is stored in, how it is made while an
-episode runs (`Observer`) and from a stored episode (`read`), and its network input. Code
-outside this package need not know which kind of observation it has.
+An `ObservationSpec` owns its Gymnasium space, the arrays that observations are stored in, how they
+are made while an episode runs (`Observer`) and from a stored episode (`read`), and their network
+input. Code outside this package need not know which kind of observation it has.
 """
 
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ from magical.scene.vocabulary import View
 
 
 class Observer(Protocol):
-    """Keeps the present observation of one running episode in its array (or dict of arrays) `out`.
+    """Keeps the current observation of one running episode in its array (or dict of arrays) `out`.
 
     `bodies` are float64 (5 + blocks, 6): x, y, angle and their velocities in the rows of `Poses`.
     """
@@ -36,7 +36,7 @@ class FrameSource(Protocol):
     """The frames of a stored episode in one view."""
 
     def render(self, time: int, out: NDArray[np.uint8]) -> None:
-        """Write the frame of one step into `out` (size, size, 3), of any layout."""
+        """Write the frame of one step into `out` (size, size, 3), in any layout."""
 
 
 class EpisodeSource(Protocol):
@@ -104,10 +104,10 @@ class ObservationSpec(Protocol):
         """
 
     def picture(self, observation: Any) -> NDArray[np.uint8] | None:
-        """One observation as an RGB image (H, W, 3) to look at; `None` for what is no image."""
+        """One observation as an RGB image (H, W, 3) to look at; `None` if it is not an image."""
 
     def observer(self, out: Any = None) -> Observer:
-        """An observer that writes into `out`, or into arrays of its own."""
+        """An observer that writes into `out`, or into new arrays."""
 
     def read(self, source: EpisodeSource, times: ArrayLike, out: Any = None) -> Any:
         """The observations of a stored episode at the steps `times` (B,), each 0 to T.

@@ -38,11 +38,11 @@ _REGION = ("present", *COLOURS, "left", "top", "height", "width")
 
 
 def _bounds(entry: str) -> tuple[float, float]:
-    """The least and the largest value of an entry; only velocities have none."""
+    """The smallest and largest value of an entry; only velocities are unbounded."""
     if "velocity" in entry:
         return -np.inf, np.inf
     if entry in _POSE or entry in ("left", "top"):
-        return -WORKSPACE_HALF, WORKSPACE_HALF  # of sine and cosine too
+        return -WORKSPACE_HALF, WORKSPACE_HALF  # also the bounds of sine and cosine
     if entry in ("left_angle", "right_angle"):
         return -np.pi, np.pi
     return 0.0, 2 * WORKSPACE_HALF if entry in ("height", "width") else 1.0
@@ -97,7 +97,7 @@ class StateSpec:
 
     @property
     def components(self) -> "tuple[StateSpec]":
-        """See `ObservationSpec`: the vectors as they are."""
+        """See `ObservationSpec`: the vectors themselves."""
         return (self,)
 
     def network_input(self, observations: Any) -> NDArray[Any]:
@@ -111,7 +111,7 @@ class StateSpec:
         return array
 
     def picture(self, observation: Any) -> None:
-        """See `ObservationSpec`: a vector is no image."""
+        """See `ObservationSpec`: None, as a vector is not an image."""
 
     def observer(self, out: NDArray[np.float32] | None = None) -> "StateObserver":
         """See `ObservationSpec`."""
@@ -134,7 +134,7 @@ class StateSpec:
 
 
 class StateObserver:
-    """Writes a running episode's state vector into a given array, or into one of its own."""
+    """Writes a running episode's state vector into a given array, or into a new one."""
 
     def __init__(self, spec: StateSpec, out: NDArray[np.float32] | None) -> None:
         self.spec = spec

@@ -1,4 +1,4 @@
-"""Simulation of scenes with pymunk (Chipmunk): the only room that imports it."""
+"""Simulation of scenes with pymunk (Chipmunk): the only subpackage that imports it."""
 
 from magical.physics.simulation import Simulation
 

@@ -22,7 +22,7 @@ def add_walls(space: pymunk.Space) -> None:
 
 
 def add_block(space: pymunk.Space, block: Block, dynamics: Dynamics, group: int) -> pymunk.Body:
-    """Add one block with its surface drag; `group` is a collision group of its own."""
+    """Add one block with its surface drag; `group` is a collision group for it alone."""
     body, shapes = _make(block.shape)
     body.position, body.angle = block.pose[:2], block.pose.angle
     space.add(body)
@@ -47,7 +47,7 @@ def _make(shape: Shape) -> tuple[pymunk.Body, list[pymunk.Shape]]:
         body = pymunk.Body(mass, pymunk.moment_for_circle(mass, 0, c.BLOCK_SIZE))
         return body, [pymunk.Circle(body, c.BLOCK_SIZE)]
     outline = block_outline(shape)
-    hull = outline[::2] if shape == Shape.STAR else outline  # of a star the outer vertices
+    hull = outline[::2] if shape == Shape.STAR else outline  # for a star, the outer vertices
     body = pymunk.Body(mass, pymunk.moment_for_poly(mass, hull))
     if shape == Shape.STAR:
         return body, [pymunk.Poly(body, part) for part in _star_parts()]
@@ -57,6 +57,6 @@ def _make(shape: Shape) -> tuple[pymunk.Body, list[pymunk.Shape]]:
 
 @cache
 def _star_parts() -> list[list[pymunk.Vec2d]]:
-    # Cached: pymunk leaks some 2 kB at every decomposition.
+    # Cached: pymunk leaks some 2 kB in every decomposition.
     outline = list(block_outline(Shape.STAR))
     return pymunk.autogeometry.convex_decomposition(outline + outline[:1], 0)

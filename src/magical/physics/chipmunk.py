@@ -2,7 +2,8 @@
 
 Through pymunk's properties, ten substeps and one read of all bodies take a third longer. The names
 and the layout used here are private and may change between releases, so importing this module
-checks that pymunk's version is in the range they were tested with, and `c_functions` checks each.
+checks that pymunk's version is in the tested range, and `c_functions` checks each name and the
+layout.
 """
 
 import re
@@ -15,7 +16,7 @@ import pymunk
 
 from magical.errors import DependencyVersionError
 
-TESTED_VERSIONS = ((7, 3), (7, 4))  # from the first, below the second; pyproject.toml has the same
+TESTED_VERSIONS = ((7, 3), (7, 4))  # at least the first, below the second; as in pyproject.toml
 # The C functions that compiled code calls.
 SIGNATURES = {
     "cpSpaceStep": "void(*)(struct cpSpace *, double)",
@@ -44,7 +45,7 @@ check_version(pymunk.version)
 
 
 def address(thing: Any) -> int:
-    """Where Chipmunk keeps a `Space`, `Body` or `SimpleMotor`."""
+    """The address of Chipmunk's struct for a `Space`, `Body` or `SimpleMotor`."""
     from pymunk._chipmunk_cffi import ffi
 
     private = {pymunk.Space: "_space", pymunk.Body: "_body", pymunk.SimpleMotor: "_constraint"}
@@ -52,10 +53,10 @@ def address(thing: Any) -> int:
 
 
 def c_functions() -> Mapping[str, int] | None:
-    """The addresses of the functions in `SIGNATURES`, or None if this pymunk is another.
+    """The addresses of the functions in `SIGNATURES`, or None, with a warning, if pymunk differs.
 
-    It is another, and a warning says so, if it lacks one of them, or if one has other arguments or
-    a body has another layout in memory.
+    It differs if it lacks one of them, if one has other arguments, or if a body has another layout
+    in memory.
     """
     try:
         from pymunk._chipmunk_cffi import ffi, lib

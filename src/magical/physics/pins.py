@@ -1,30 +1,30 @@
 """The fingers' initial positions, which give their pin joints the published direction.
 
 A pin joint pulls along the line from one anchor to the other. A finger hangs on a pin of zero
-length, so at first this line is nothing but a rounding error, normalised. Chipmunk computes it in
+length, so initially this line is only a rounding error, normalised. Chipmunk computes it in
 `preStep` of cpPinJoint.c as
 
     (finger + 0) - (robot + root)
 
-with the root already rotated, which is exactly (0, 0) when the finger is placed at robot + root:
-the pin has no direction and does not act in the first substep. pymunk 5.6.0, of the published
+with the root already rotated. This is exactly (0, 0) when the finger is placed at robot + root: the
+pin has no direction and does not act in the first substep. pymunk 5.6.0, used by the published
 environments, was compiled with -ffast-math, and its library adds the same four terms in the order
 
     ((finger - robot) + 0) - root
 
-which is not zero but, exactly, the rounding error of robot + root. Its direction decides how the
+which is not zero but exactly the rounding error of robot + root. Its direction decides how the
 robot starts to move, and the first step differs by some 1e-4 units.
 
 Here the finger is displaced by a multiple of that error, so that the first expression has the
 published direction as well. The error is at most half the spacing of floating-point numbers at the
 finger, which therefore can only be displaced by a multiple of the error that is a whole number of
-spacings. A power of two times the error has its direction to the last bit. The least such power is
-taken, because the pin now has a length, which the published one has not, and the effect of that
+spacings. A power of two times the error has its direction to the last bit. The smallest such power
+is used, because the pin now has a length, unlike the published one, and the effect of that length
 grows with it.
 
-64 is enough for a robot whose coordinates are 0 or above 2**-7: these and the rotated root, as
-floating-point numbers, are multiples of 2**-59, and the spacing at the finger is at most 2**-53
-anywhere in the workspace.
+A factor of 64 is enough for a robot whose coordinates are 0 or above 2**-7: these and the rotated
+root, as floating-point numbers, are multiples of 2**-59, and the spacing at the finger is at most
+2**-53 anywhere in the workspace.
 """
 
 import pymunk
@@ -55,7 +55,7 @@ def published_error(root: Point, pose: Pose) -> Point:
 def finger_position(body: pymunk.Body, root: Point, pose: Pose) -> Point:
     """The initial position of a finger: its root in the workspace, displaced by some 1e-15 units.
 
-    A pin joint made afterwards takes this displacement for its length and is at rest.
+    A pin joint made afterwards takes this displacement as its length and is at rest.
 
     Args:
         body: the robot's, already at `pose`.

@@ -16,16 +16,16 @@ from magical.scene.scene import Dynamics, Pose
 
 ROBOT_GROUP = 1  # collision group shared by all shapes of the robot
 
-# A drive speed (units / s), lead of the control body (rad) and finger target (rad), which are set
-# before every substep; and the limit of the rate of turning (rad / s), which is the joint's.
+# Drive speed (units / s), lead of the control body (rad) and finger target (rad), which are set
+# before every substep; and the joint's limit on the turning rate (rad / s).
 Command = tuple[tuple[float, float, float], float]
 
 
 def command(action: AnyAction) -> Command:
-    """What an action commands: speed, rate of turning and finger target are linear in its parts.
+    """The command of an action: speed, turning rate and finger target vary linearly with its parts.
 
-    The joint between control body and robot turns as fast as its limit allows wherever there is a
-    lead of more than some hundredths, so it is the limit that a share of turning scales.
+    The joint between control body and robot turns as fast as its limit allows whenever the lead
+    exceeds a few hundredths, so a fraction of full turning scales the limit, not the lead.
     """
     drive, turn, grip = POINTS[action] if isinstance(action, (int, np.integer)) else action
     speed = drive * (c.DRIVE_SPEED_FORWARD if drive > 0.0 else -c.DRIVE_SPEED_BACK)
@@ -62,7 +62,7 @@ class Robot:
             space.add(shape)
 
     def steer(self, speed: float, lead: float, target: float) -> None:
-        """Set the control body and the finger motors, as is done before every substep."""
+        """Set the control body and the finger motors; called before every substep."""
         angle = self.body.angle
         self.control.angle = angle + lead
         self.control.velocity = -math.sin(angle) * speed, math.cos(angle) * speed

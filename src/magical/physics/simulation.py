@@ -41,7 +41,7 @@ class Simulation:
             self._robot = Robot(self._space, scene.robot, self.dynamics)
         self._turn_limit = c.TURN_MAX_BIAS
         self._bodies = [self._robot.body, *self._robot.fingers, *self._robot.eyes, *blocks]
-        # For each row of `Poses`, the body that has its position and the one that has its angle.
+        # For each row of `Poses`, the body that holds its position and the one with its angle.
         places = [self._robot.body if b in self._robot.eyes else b for b in self._bodies]
         self._places = list(zip(places, self._bodies, strict=True))
         self._compiled = compiled()
@@ -90,16 +90,16 @@ class Simulation:
     def write(self, bodies: NDArray[np.float64]) -> None:
         """Move every body to a pose and give it a velocity: the inverse of `read`.
 
-        Contacts of the step before are forgotten only as far as bodies have moved apart.
+        Contacts from the previous step are dropped only if the bodies have moved apart.
 
         Args:
-            bodies: (5 + number of blocks, 6), as `read` returns it; the eyes' positions are not
-                used.
+            bodies: (5 + number of blocks, 6), as `read` returns it; the eyes' positions have
+                no effect.
 
         Raises `InvalidSceneError` for a value that is not finite or beyond `MAX_COORDINATE`.
         """
         furthest = np.abs(bodies).max()
-        if not furthest <= c.MAX_COORDINATE:  # NaN too
+        if not furthest <= c.MAX_COORDINATE:  # also true for NaN
             raise InvalidSceneError(
                 f"poses: expected finite numbers up to {c.MAX_COORDINATE:g}, found {furthest:g}"
             )
@@ -111,7 +111,7 @@ class Simulation:
 
 @cache
 def compiled() -> tuple[Callable[..., None], Callable[..., None]] | None:
-    """`substeps` and `read` of the module `substeps`; None with another pymunk (`c_functions`)."""
+    """Compiled `substeps` and `read` (module `substeps`); None if `c_functions` returns None."""
     if (functions := c_functions()) is None:
         return None
     from magical.physics.substeps import compiled_substeps, read  # imports numba

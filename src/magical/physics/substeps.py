@@ -1,8 +1,8 @@
 """A control step's substeps, and the reading of all bodies, as one compiled call each.
 
-Bodies, motors and the space are given by their addresses. What Chipmunk has no function of plain
-numbers for is read and written in a body's memory, at the indices that `chipmunk` has checked.
-The lock of the interpreter is not held, so that threads can step different simulations.
+Bodies, motors and the space are given by their addresses. Values for which Chipmunk has no function
+of plain numbers are read and written in a body's memory, at the indices that `chipmunk` has
+checked. The interpreter's lock is not held, so threads can step different simulations.
 """
 
 import math
@@ -28,7 +28,7 @@ rate = inlined(motor_rate)
 
 
 def compiled_substeps(addresses: Mapping[str, int]) -> Callable[..., None]:
-    """The substeps as `Simulation` makes them plainly, by the C functions at these addresses."""
+    """The substeps of `Simulation.step`, compiled, with the C functions at these addresses."""
     step_space, set_angle, set_motor_rate = (
         c_function(name, addresses[name], ADDRESS, FLOAT)
         for name in ("cpSpaceStep", "cpBodySetAngle", "cpSimpleMotorSetRate")
@@ -64,7 +64,7 @@ def read(addresses: NDArray[np.int64], out: NDArray[np.float64]) -> None:
     """Write poses and velocities of bodies.
 
     Args:
-        addresses: (bodies, 2): of the body that a position is taken from, and of that of the angle.
+        addresses: (bodies, 2): of the bodies that the position and the angle are taken from.
         out: (bodies, 6): x, y, angle and their velocities.
     """
     for i in range(len(addresses)):

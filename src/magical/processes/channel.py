@@ -1,4 +1,4 @@
-"""Messages between a process and its children: pickled over pipes, an exception included."""
+"""Messages between a process and its children, exceptions included: pickled over pipes."""
 
 import pickle
 import traceback
@@ -20,7 +20,7 @@ class WorkerTraceback(Exception):
 
 def send(pipe: IO[bytes], message: bytes) -> None:
     """Write a pickled value; raises `BrokenPipeError` if the other process has ended."""
-    pickle.dump(message, pipe)  # as bytes: what cannot be unpickled leaves the pipe in order
+    pickle.dump(message, pipe)  # as bytes: a value that cannot be unpickled leaves the pipe usable
     pipe.flush()
 
 
@@ -53,7 +53,7 @@ def serve(
     """The child's side: answer one request after another until the parent closes the pipes.
 
     Args:
-        answer: from a request to its result; its exceptions are sent to the parent.
+        answer: maps a request to its result; its exceptions are sent to the parent.
         requests: the pipe to read from.
         replies: the pipe to write to.
         after: called after each reply.
@@ -73,7 +73,7 @@ def serve(
 def _sendable(error: Exception) -> Exception:
     """The exception itself, or a `WorkerError` that names it if the parent might not know it."""
     if type(error).__module__ in _REBUILT:
-        with suppress(Exception):  # arguments that cannot be pickled, or not made an exception of
+        with suppress(Exception):  # arguments that cannot be pickled, or that do not rebuild it
             pickle.loads(pickle.dumps(error))  # noqa: S301
             return error
     named = WorkerError(traceback.format_exception_only(error)[0].strip())

@@ -29,7 +29,7 @@ class Child:
 
     Args:
         module: the module's name.
-        name: what messages call it.
+        name: what error messages call the child.
         inherited: file descriptors to keep open in the child (not on Windows).
 
     Attributes:
@@ -78,7 +78,7 @@ class Child:
         self.process.kill()
         self.process.wait()
         for pipe in (self.requests, self.replies, self._lifeline):
-            with suppress(OSError):  # what could not be written any more
+            with suppress(OSError):  # data that can no longer be written
                 pipe.close()
 
     def _died(self) -> WorkerDiedError:
@@ -97,13 +97,13 @@ class Child:
 
 
 def _lifeline() -> tuple[int, int]:
-    """A pipe, not at descriptors 0 to 2 even if they are free: a child has others there."""
+    """A pipe, never at descriptors 0 to 2, even if free: a child has its standard streams there."""
     read_end, write_end = os.pipe()
     return above_standard(read_end), above_standard(write_end)
 
 
 def above_standard(descriptor: int) -> int:
-    """The same file at a descriptor above 2; the given one is closed if it is another."""
+    """The same file at a descriptor above 2; if the given one is not, it is closed."""
     if sys.platform == "win32" or descriptor > 2:
         return descriptor
     import fcntl

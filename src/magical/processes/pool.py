@@ -44,17 +44,17 @@ def map_in_processes(
     Only a few results wait at any time, so items may be infinite; closing the generator kills the
     processes. They end with this process too, however it ends, and leave nothing behind. A process
     that dies costs the item it was working on and is replaced. The main script is never imported,
-    so it needs no `if __name__ == "__main__":`, and `work` must be in a module that can be.
+    so it needs no `if __name__ == "__main__":`, and `work` must be in an importable module.
 
     Args:
         work: a function that pickle can name, such as one at the top of a module, or a partial.
-        items: what can be pickled.
+        items: items that can be pickled.
         workers: the number of processes; with 1 or less everything is done in this process.
 
     Raises:
-        WorkerDiedError: a process ended by itself or was killed.
-        Exception: what `work` raises. From a child, an exception that is neither built in nor of
-            `magical.errors` is a `WorkerError`; its cause is the child's traceback.
+        WorkerDiedError: a process exited or was killed.
+        Exception: what `work` raises. In a child, an exception that is neither built in nor from
+            `magical.errors` becomes a `WorkerError`; the cause is the child's traceback.
     """
     with closing(_calls(work, items, workers)) as calls:
         for call in calls:
@@ -78,7 +78,7 @@ def outcomes_in_processes(
 def _calls(
     work: Callable[[Item], Result], items: Iterable[Item], workers: int
 ) -> Generator[Callable[[], Result], None, None]:
-    """For each item what waits for `work(item)`, or here computes it, and returns or raises."""
+    """For each item, a function that waits for `work(item)`, or computes it in this process."""
     if workers <= 1:
         for item in items:
             yield partial(work, item)
@@ -94,9 +94,9 @@ def _calls(
 
 
 class ProcessPool:
-    """Child processes that compute one task after another, each submitted by itself.
+    """Child processes that compute one task after another; tasks are submitted individually.
 
-    `map_in_processes` is simpler where results are wanted in the items' order.
+    `map_in_processes` is simpler if results are wanted in the items' order.
     """
 
     def __init__(self, count: int) -> None:
@@ -106,7 +106,7 @@ class ProcessPool:
         self._closed = False
         self._owner = os.getpid()
         atexit.register(self.close)  # while the threads can still run
-        # Each has a child of its own, from its first task.
+        # Each has its own child, from its first task on.
         self._threads = [Thread(target=self._serve, daemon=True) for _ in range(count)]
         for thread in self._threads:
             thread.start()
@@ -114,8 +114,8 @@ class ProcessPool:
     def submit(self, work: Callable[[Item], Result], item: Item) -> "Future[Result]":
         """Compute `work(item)` in a child as soon as one is idle.
 
-        See `map_in_processes` for what `work` may be and which exceptions the result has; that of a
-        closed pool is a `WorkerDiedError`.
+        See `map_in_processes` for what `work` may be and which exceptions the result may have; in a
+        closed pool it is a `WorkerDiedError`.
         """
         result: Future[Result] = Future()
         message = pickle.dumps((work, item))
@@ -127,7 +127,7 @@ class ProcessPool:
         return result
 
     def terminate(self) -> None:
-        """Send SIGTERM to all children, and start no task any more.
+        """Send SIGTERM to all children, and start no more tasks.
 
         Work that handles the signal can finish what it is doing. Other tasks fail with
         `WorkerDiedError`. (Windows has no such signal: there every child ends at once.)
@@ -152,7 +152,7 @@ class ProcessPool:
             thread.join()
 
     def _serve(self) -> None:
-        """Have a child do one task after another; one that dies is replaced."""
+        """Have a child compute one task after another; a child that dies is replaced."""
         child: Child | None = None
         while task := self._tasks.get():
             message, result = task

@@ -1,6 +1,6 @@
-"""The first code of every child process. `Child` runs this file; nothing imports it.
+"""The first code that every child process runs. `Child` runs this file; nothing imports it.
 
-The standard library is all that is imported before `sys.path` is the parent's.
+Only the standard library is imported before `sys.path` is set to the parent's.
 """
 
 import contextlib
@@ -35,7 +35,7 @@ def main(module: str, path: Sequence[str], lifeline: int) -> None:
 
 
 def _end_with_parent(lifeline: int) -> None:
-    """End this process when the other end of the lifeline closes: when the parent ends.
+    """End this process when the other end of the lifeline closes, that is, when the parent ends.
 
     A thread does so on every platform, as soon as it can run. On Linux the kernel does so too (by
     SIGIO, which ends a process), even while a call into compiled code keeps all threads waiting.

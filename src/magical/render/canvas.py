@@ -1,4 +1,4 @@
-"""Two layers that make a frame: the ground, painted back to front, and the bodies in front of it.
+"""The two layers of a frame: the ground, painted back to front, and the bodies in front of it.
 
 The ground (workspace, regions, lines) keeps every sample's colour, as lines are blended with what
 is under them, but only in pixels with more than one colour: these have a tile. The bodies are
@@ -26,7 +26,7 @@ class Canvas(NamedTuple):
 
     A ground pixel is a colour (red in the lowest byte), or ~t for tile t. Every layer of the
     ground opens at most one tile in a pixel. `pixels` starts as the ground and becomes the frame;
-    where the ground is not reused, both are one array.
+    if the ground is not reused, both are the same array.
     """
 
     size: int
@@ -44,7 +44,7 @@ class Canvas(NamedTuple):
 
 
 def working_memory(size: int, samples: int, layers: int) -> tuple[NDArray[Any], ...]:
-    """The arrays of a `Canvas` from `tiles` to `coverage`: a call leaves nothing in them."""
+    """The arrays of a `Canvas` from `tiles` to `coverage`, which keep nothing between calls."""
     count, per_pixel = size * size, samples * samples
     # A body pixel without any covered sample; 64 bits, signed.
     blank = ((1 << per_pixel) - 1) << UNCOVERED if samples < 4 else -1 << UNCOVERED
@@ -125,7 +125,7 @@ def _paint_part(canvas: Canvas, pixel: int, bits: int, colour: int) -> None:
 
 @merged
 def cover(canvas: Canvas, low: int, high: int, colour: int) -> None:
-    """Fill a scan-converted polygon of a body, behind the bodies that are there."""
+    """Fill a scan-converted polygon of a body, behind the bodies already there."""
     samples, size = canvas.samples, canvas.size
     full = EVERY_SAMPLE >> (16 - samples * samples)
     pad(canvas.spans, low, high, samples, size * samples)
@@ -143,7 +143,7 @@ def cover(canvas: Canvas, low: int, high: int, colour: int) -> None:
 
 @inlined
 def _cover_part(canvas: Canvas, pixel: int, bits: int, colour: int) -> None:
-    """Without a branch, which the processor could not predict."""
+    """Cover part of a pixel, without a branch, which the processor could not predict."""
     entry = integer(canvas.bodies[pixel])
     new = bits & (entry >> UNCOVERED)
     canvas.bodies[pixel] = (entry ^ (new << UNCOVERED)) + count_bits(new) * colour

@@ -37,7 +37,7 @@ from magical.scene.vocabulary import Shape
 
 BLOCK_INSET = 0.015  # units: width of a block's outline
 ROBOT_INSET = 0.01  # units: width of the robot's outline
-FINGER_INSET = 0.02  # units: the inner finger's lengths and thickness are less by this
+FINGER_INSET = 0.02  # units: the inner finger's lengths and thickness are smaller by this
 EYE_RADIUS = 0.2 * c.ROBOT_RADIUS
 EYE_X, EYE_Y = 0.4 * c.ROBOT_RADIUS, 0.3 * c.ROBOT_RADIUS  # x times the side
 PUPIL_RADIUS = 0.12 * c.ROBOT_RADIUS
@@ -51,7 +51,7 @@ Vertices = NDArray[np.float64]  # (2, n): x and y
 class Part(NamedTuple):
     """Polygons of one colour on one body.
 
-    They stand at `offset` in the frame of the body in row `anchor` of the poses and turn with the
+    They are at `offset` in the frame of the body in row `anchor` of the poses and turn with the
     body in row `turn`; every polygon is convex and counter-clockwise.
     """
 
@@ -108,10 +108,10 @@ def disc(sides: int, radius: float) -> Polygon:
 
 
 def convex_parts(star: Polygon) -> tuple[Polygon, ...]:
-    """A star with inner radius above 0.382 of the outer as three convex polygons that overlap.
+    """A star with inner radius above 0.382 of the outer as three overlapping convex polygons.
 
-    Tips are the even vertices. A tip and the next but one see each other, so that both, with the
-    four inner vertices beside them, make a convex hexagon; two of these and a kite with the fifth
+    Tips are the even vertices. A tip and the next but one can see each other, so the two, with the
+    four inner vertices next to them, form a convex hexagon; two of these and a kite with the fifth
     tip cover the star.
     """
 
@@ -170,6 +170,6 @@ def _robot_parts() -> tuple[Part, ...]:
 
 
 def _corners(x: float, y: float, height: float, width: float) -> tuple[Point, ...]:
-    """Clockwise from the top left: the order in which edges are stroked and dashes counted."""
+    """Corners clockwise from the top left, as edges are stroked and dashes are counted."""
     right, bottom = x + width, y - height
     return (x, y), (right, y), (right, bottom), (x, bottom)

@@ -15,10 +15,10 @@ from magical.render.palette import OUTSIDE, lanes
 from magical.render.polygons import CORNER_X, CORNER_Y, SUBSAMPLES, Floats, Ints, X, Y, place, scan
 from magical.scene.constants import RAW_FRAME_SIZE
 
-VIEW_WIDTH = 2.04  # units: both cameras show as much (docs/specification.md, section 6)
-ROBOT_HEIGHT = 0.15  # of the frame: where the egocentric camera has the robot, from below
-# Modes of the compiled `render`: everything, where `ground` is the same array as `pixels`; the
-# allocentric ground only; bodies over such a ground, its finished pixels in `kept`.
+VIEW_WIDTH = 2.04  # units: the width that both cameras show (docs/specification.md, section 6)
+ROBOT_HEIGHT = 0.15  # of the frame: the robot's height above its lower edge, in the egocentric view
+# Modes of the compiled `render`: everything, with `ground` the same array as `pixels`; only the
+# allocentric ground; bodies over such a ground, whose finished pixels are in `kept`.
 EGO, GROUND, ALLO = 0, 1, 2
 BACKGROUND = lanes(OUTSIDE)
 
@@ -27,7 +27,7 @@ Pixels = NDArray[np.int32]
 
 @merged
 def body_frames(bodies: Floats, ego: bool, extent: float, frames: Floats) -> None:
-    """Every body's frame on the grid, the workspace's last: cos, sin (times the scale), x, y."""
+    """Compute each body's frame on the grid, the workspace's last: scaled cos and sin, x, y."""
     scale = SUBSAMPLES * extent / VIEW_WIDTH
     x, y, turn, height = 0.0, 0.0, 0.0, 0.5  # the camera's pose, and its height in the frame
     if ego:
@@ -56,7 +56,7 @@ def render_ground(
     ego: bool,
     whole: bool,
 ) -> None:
-    """Background, workspace and its edge, regions and their dashes."""
+    """Render the background, the workspace and its edge, the regions and their dashes."""
     extent = canvas.size * canvas.samples
     outside = pack(background)
     for pixel in range(canvas.size * canvas.size):
@@ -80,7 +80,7 @@ def render_ground(
 
 @inlined
 def _counter_left_by_allocentric_frame(corners: Floats, whole: bool) -> float:
-    """Where the dash counter stands after an outline that is all in view.
+    """The dash counter after an outline that is entirely in view.
 
     The published environments render an allocentric frame before every egocentric one.
     """
@@ -99,7 +99,7 @@ def render_bodies(
     offsets: Floats,
     frames: Floats,
 ) -> None:
-    """Blocks and robot, front to back (see `display.DisplayList` for the arrays)."""
+    """Render blocks and robot, front to back (see `display.DisplayList` for the arrays)."""
     extent = canvas.size * canvas.samples
     for i in range(len(items)):
         first, count, anchor, turn = items[i, 0], items[i, 1], items[i, 2], items[i, 3]
@@ -130,7 +130,7 @@ def _copy(source: Pixels, target: Pixels) -> None:
 
 @cache
 def compiled_render(samples: int) -> Callable[..., int]:
-    """The entry point for samples x samples samples a pixel (1, 2 or 4 across)."""
+    """The entry point for samples x samples samples per pixel (1, 2 or 4 across)."""
 
     @entry_point
     def render(
@@ -158,7 +158,7 @@ def compiled_render(samples: int) -> Callable[..., int]:
     ) -> int:
         """Render into `pixels`; returns the number of tiles, or -1 for poses out of range.
 
-        `mode` is one of those above, `whole` for `lines.outline`; the other arrays are those of
+        `mode` is one of those above, `whole` is for `lines.outline`; the other arrays are those of
         `display.DisplayList` and `canvas.Canvas`.
         """
         if not within_reach(bodies):

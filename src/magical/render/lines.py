@@ -19,7 +19,7 @@ from magical.scene.constants import RAW_FRAME_SIZE
 # Lengths are given in pixels of the published raw frame, RAW_FRAME_SIZE across.
 EDGE_WIDTH = 1.0
 DASH_WIDTH = 2.5
-DASH = 8  # on, and as many off
+DASH = 8  # on, then the same length off
 # The allocentric frame's edges lie where coverage is exactly halfway between two 8-bit steps. The
 # published frames round as if every line were shifted slightly to the left and down.
 LINE_SHIFT = 1e-7  # samples
@@ -80,7 +80,7 @@ def stroke(
 
 @inlined
 def _columns(strip: Strip, bottom: float, samples: int) -> tuple[float, float]:
-    """The x between which samples of a row of pixels may be covered."""
+    """The range of x in which samples of a row of pixels may be covered."""
     reach = abs(strip.along_y) * strip.side + abs(strip.along_x) * strip.end
     if abs(strip.along_y) < LEVEL:
         return strip.middle_x - reach, strip.middle_x + reach
@@ -97,7 +97,7 @@ def _columns(strip: Strip, bottom: float, samples: int) -> tuple[float, float]:
 def _coverages(
     strip: Strip, left: float, bottom: float, samples: int, coverage: NDArray[np.int32]
 ) -> bool:
-    """The coverage of a pixel's samples in 255ths; false if all are 0. Without branches."""
+    """Compute, without branches, the coverage of a pixel's samples in 255ths; false if all 0."""
     found = 0
     for i in range(samples * samples):
         x = left + (i % samples + 0.5) - strip.middle_x
@@ -132,12 +132,12 @@ def _per_255(products: int) -> int:
 
 @merged
 def outline(canvas: Canvas, colour: int, dashed: bool, counter: float, whole: bool) -> float:
-    """The workspace's edge, or a region's dashes; takes and returns the dash counter.
+    """Stroke the workspace's edge, or a region's dashes; takes and returns the dash counter.
 
     Every side counts the pixels of the 384 frame from where it comes into view and advances the
-    counter, so that dashes continue round corners: by a whole number, or, as in the frames of the
-    human demonstrations, by its exact length. The counter is reset at an outline's first side,
-    but, as in the published frames, only if that is in view.
+    counter, so that dashes continue around corners: with `whole` by a whole number, otherwise by
+    its exact length, as in the frames of the human demonstrations. The counter is reset at an
+    outline's first side, but only if that is in view, as in the published frames.
     """
     extent = canvas.size * canvas.samples
     unit = extent / RAW_FRAME_SIZE

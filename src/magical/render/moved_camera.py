@@ -1,4 +1,4 @@
-"""Frames from a turned and shifted camera, in other colours: augmentation without resampling."""
+"""Frames from a rotated and shifted camera, in other colours: augmentation without resampling."""
 
 from collections.abc import Callable
 from functools import cache
@@ -34,8 +34,8 @@ Floats32 = NDArray[np.float32]
 class MovedCamera:
     """Renders frame stacks of one scene in one view, each stack with its own camera and colours.
 
-    The camera's rotation and shift move the whole picture, as `resample` does; beyond the frame's
-    borders stands what is there, and edges are as sharp as in any frame.
+    The camera's rotation and shift move the whole picture, as `resample` does, but what lies beyond
+    the frame's borders comes into view, and edges are as sharp as in any frame.
 
     Args:
         scene: which bodies and regions there are; its poses are not used, except the regions'.
@@ -77,7 +77,7 @@ class MovedCamera:
 
         Args:
             bodies: (B, K, 5 + blocks, 3): x, y, angle in the rows of `Poses`.
-            angles: (B,) radians, counter-clockwise as seen.
+            angles: (B,) radians, counter-clockwise in the picture.
             shifts: (B, 2) to the right and down, as fractions of width and height.
             palettes: (B, n, 3) the colours in place of `palette`.
             without_walls: (B,) whether to give the workspace's edge, and what is beyond it, the
@@ -87,7 +87,7 @@ class MovedCamera:
             channel: the first of its 3 * K channels.
 
         Raises:
-            RenderError: the poses are not finite, or not one for each body.
+            RenderError: the poses are not finite, out of range, or not one for each body.
         """
         if bodies.shape[2:] != (self._count, 3):
             raise RenderError(f"expected poses (..., {self._count}, 3), found {bodies.shape}")
@@ -124,7 +124,7 @@ class MovedCamera:
 
 @inlined
 def _move(frames: Floats, move: Floats, extent: float) -> None:
-    """Turn all frames (see `body_frames`) about the picture's centre, then shift them."""
+    """Rotate all frames (see `body_frames`) about the picture's centre, then shift them."""
     cos, sin = move[0], move[1]
     whole = SUBSAMPLES * extent
     for i in range(len(frames)):
@@ -155,7 +155,7 @@ def _store(frames: Pixels, out: Floats32, channel: int) -> None:
 
 @cache
 def compiled_render_moved(samples: int) -> Callable[..., bool]:
-    """The entry point for samples x samples samples a pixel (1, 2 or 4 across)."""
+    """The entry point for samples x samples samples per pixel (1, 2 or 4 across)."""
 
     @nogil_entry_point
     def render_moved(
@@ -174,7 +174,7 @@ def compiled_render_moved(samples: int) -> Callable[..., bool]:
         channel: int,
         *memory: NDArray[Any],
     ) -> bool:
-        """Stacks (B, K, bodies, 3) into `out`; false for poses out of range.
+        """Render the stacks of `bodies` (B, K, n, 3) into `out`; false for poses out of range.
 
         `moves` (B, 4): cos, sin, and shifts to the right and up. Each stack has its own
         `item_colours` (B, n), `ground_colours` (B, 1 + R, 2) and `backgrounds` (B,). The memory is

@@ -29,7 +29,7 @@ def store(pixels: NDArray[np.int32], out: NDArray[np.uint8]) -> None:
 def push_four(pixels: NDArray[np.int32], stack: NDArray[np.uint32]) -> None:
     """Drop the oldest of a stack's four frames, and add the newest, in one pass.
 
-    The stack is given as little-endian words, three a pixel: (height, 3 * width).
+    The stack is given as little-endian words, three per pixel: (height, 3 * width).
     """
     height, width = stack.shape[0], stack.shape[1] // 3
     for y in range(height):

@@ -12,9 +12,9 @@ RGB = tuple[int, int, int]
 
 
 class Shades(NamedTuple):
-    """What one colour word stands for: a block's fill and outline, a goal region's fill.
+    """The shades of one colour word: a block's fill and outline, a goal region's fill.
 
-    A region's dashes are in `fill`.
+    A region's dashes use `fill`.
     """
 
     fill: RGB
@@ -41,7 +41,7 @@ def permuted(palette: NDArray[np.uint8], colours: Sequence[Colour]) -> NDArray[n
 
     Args:
         palette: 8-bit RGB.
-        colours: what stands in place of each of `COLOURS`, in their order.
+        colours: the replacement for each of `COLOURS`, in their order.
     """
     new: dict[tuple[int, ...], RGB] = {
         old: changed

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from magical.compiled.jit import ceil, inlined, integer, maximum, merged, minimum, rint
 
-SUBSAMPLES = 256.0  # vertices lie on a grid of this many lines a sample
+SUBSAMPLES = 256.0  # vertices lie on a grid of this many lines per sample
 LEFT, RIGHT = 0, 1  # rows of `spans`
 MAX_SIDES = 100  # of any polygon
-# Rows of `polygon`: its vertices, the first one repeated, and what `scan` computes of them; a
+# Rows of `polygon`: its vertices, the first one repeated; what `scan` computes from them; and a
 # rectangle's corners, not rounded and in samples, for its outline.
 X, Y, ROW, BOUNDARY, SLOPE, CORNER_X, CORNER_Y = range(7)
 POLYGON_ROWS = 7
@@ -48,11 +48,11 @@ def place(
 
 @merged
 def scan(polygon: Floats, count: int, width: int, height: int, spans: Ints) -> tuple[int, int]:
-    """Each sample row's span [left, right) into `spans` (2, rows); returns the rows [low, high).
+    """Write each sample row's span [left, right) to `spans` (2, rows); returns rows [low, high).
 
     A row's boundary is the first sample whose centre is at or right of the edge:
     ceil((x - 128) / 256) for the edge's x, a fraction whose denominator is the edge's height dy.
-    Half a unit of its numerator is taken off before rounding down and adding 1: the result is the
+    Half a unit of its numerator is subtracted before rounding down and adding 1: the result is the
     same, and rounding errors of the floating-point arithmetic cannot change it.
     """
     _prepare(polygon, count, float(height))
@@ -71,9 +71,9 @@ def scan(polygon: Floats, count: int, width: int, height: int, spans: Ints) -> t
 
 @inlined
 def _prepare(polygon: Floats, count: int, height: float) -> None:
-    """For each vertex the first row above it; for each edge its lowest row's boundary, its slope.
+    """For each vertex, the first row above it; for each edge, its lowest row's boundary, its slope.
 
-    Apart from `scan`'s loop and without branches, so that several edges are computed at once.
+    Separate from `scan`'s loop and without branches, so that several edges are computed at once.
     """
     half = SUBSAMPLES / 2
     for i in range(count + 1):
@@ -104,7 +104,7 @@ def pad(spans: Ints, low: int, high: int, samples: int, width: int) -> None:
 def pixel_spans(spans: Ints, row: int, samples: int) -> tuple[int, int, int, int]:
     """Where a row of pixels is touched, covered, no longer covered, no longer touched.
 
-    `row` is the lowest of its sample rows. Nothing is covered when the second is not below the
+    `row` is the lowest of its sample rows. Nothing is covered if the second is not below the
     third.
     """
     first_left = last_left = spans[LEFT, row]

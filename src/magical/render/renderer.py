@@ -23,14 +23,14 @@ _working_memory = lru_cache(maxsize=16)(working_memory)
 
 
 def default_samples(size: int) -> int:
-    """Samples across a pixel: as few as make the published 384 across a frame, at most 4."""
+    """Samples across a pixel: the fewest that make at least 384 across a frame, at most 4."""
     return next((n for n in SAMPLES if n * size >= RAW_FRAME_SIZE), max(SAMPLES))
 
 
 def checked_samples(size: int, samples: int | None) -> int:
     """The samples across a pixel, `default_samples` for None; raises `RenderError`."""
     if isinstance(size, int) and 0 < size <= MAX_FRAME_SIZE and samples in (None, *SAMPLES):
-        return default_samples(size) if samples is None else int(samples)  # a float fits no kernel
+        return default_samples(size) if samples is None else int(samples)  # no kernel takes a float
     raise RenderError(
         f"expected a size from 1 to {MAX_FRAME_SIZE} and samples among {SAMPLES}, "
         f"found {quoted(size)} and {quoted(samples)}"
@@ -45,8 +45,8 @@ class Renderer:
         view: `View.EGO` or `View.ALLO`, or their names.
         size: height and width of the frame in pixels.
         samples: 1, 2 or 4; samples x samples are averaged in each pixel, halves rounded to even.
-            Default: as few as make 384 across, at most 4. 4 at 96 pixels is the published
-            pipeline, 1 at 384 its raw frame.
+            Default: the fewest that make at least 384 across, at most 4. 4 at 96 pixels is the
+            published pipeline, 1 at 384 its raw frame.
         whole_dashes: whether the sides of goal regions advance the pattern of dashes by whole
             pixels of the 384 frame (docs/specification.md, section 6). The human demonstrations
             were recorded with another graphics driver, which advanced it by their exact length.
@@ -83,21 +83,21 @@ class Renderer:
             out: (size, size, 3) uint8.
 
         Raises:
-            RenderError: shapes or types do not match, or a pose is not finite.
+            RenderError: shapes or types do not match, or a pose is not finite or out of range.
         """
         self._check(out, CHANNELS)
         self._render_pixels(bodies)
         store(self._pixels, out)
 
     def render_stacked(self, bodies: NDArray[np.float64], stack: Image) -> None:
-        """Shift a stack by one frame and render the newest one in its last three channels.
+        """Shift a stack by one frame and render the newest into its last three channels.
 
         Args:
             bodies: as for `render`.
             stack: (size, size, 3 * frames) uint8, oldest first, any layout.
 
         Raises:
-            RenderError: shapes or types do not match, or a pose is not finite.
+            RenderError: shapes or types do not match, or a pose is not finite or out of range.
         """
         channels = stack.shape[-1]
         self._check(stack, channels)
@@ -132,7 +132,7 @@ class Renderer:
 
         In the egocentric view, the pixels are also the ground. The allocentric camera does not
         move: its ground is rendered here and kept, with its finished pixels. Working memory is
-        shared by all renderers, also among threads: compiled code keeps the interpreter's lock,
+        shared by all renderers, even across threads: compiled code holds the interpreter's lock,
         and one call leaves nothing in shared memory that another needs.
         """
         pixels = self._pixels

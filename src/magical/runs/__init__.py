@@ -1,8 +1,8 @@
 """Run folders and their metrics as plain files.
 
-This room is below `learning` because training writes run folders and `report` reads them: a reader
-of a run needs neither PyTorch nor the code that made it. The one file that needs PyTorch, the
-checkpoint, belongs to `magical.learning.running.checkpoints`; here it has only a name.
+This subpackage is below `learning` because training writes run folders and `report` reads them: a
+reader of a run needs neither PyTorch nor the code that made it. The only file that needs PyTorch,
+the checkpoint, belongs to `magical.learning.running.checkpoints`; only its name is defined here.
 """
 
 from magical.runs.folder import is_run, read_json, versions

@@ -1,8 +1,8 @@
-"""The files of a run folder: which there are, creating the folder, checking it before resuming.
+"""The files of a run folder: their names, creating the folder, checking it before resuming.
 
 - `config.json`: the configuration
 - `run.json`: versions, demonstrations with SHA-256 sums, device and precision
-- `metrics.jsonl`: one JSON object a line
+- `metrics.jsonl`: one JSON object per line
 - `checkpoint.safetensors`: the newest checkpoint
 - `previous-checkpoint.safetensors`: the one before
 - `learning-curves.png`: the metrics as a picture
@@ -45,7 +45,7 @@ def is_run(path: Path | str) -> bool:
 
 @contextmanager
 def opened_folder(path: Path, config: Mapping[str, Any], resume: bool) -> Iterator[None]:
-    """Hold the lock of a run folder for training; a new one is created.
+    """Hold the lock of a run folder for training; a new folder is created.
 
     Reading a run needs no lock. A new run that fails before it has logged or saved anything, for
     instance for lack of demonstrations, is removed again, so that the corrected command finds the
@@ -54,7 +54,7 @@ def opened_folder(path: Path, config: Mapping[str, Any], resume: bool) -> Iterat
     Args:
         path: a new or an empty folder; with `resume`, one that holds the run.
         config: the configuration as plain data.
-        resume: whether an existing run is to be continued.
+        resume: whether to continue an existing run.
 
     Raises:
         RunFolderError: another process or thread trains this run; the folder holds another
@@ -82,13 +82,13 @@ def opened_folder(path: Path, config: Mapping[str, Any], resume: bool) -> Iterat
 
 
 def _remove_unless_begun(path: Path, keep_folder: bool) -> None:
-    """Remove the files of a run without metrics and checkpoints, unless there are others too."""
+    """Remove the files of a run without metrics or checkpoints, unless there are other files."""
     names = {file.name for file in path.iterdir()}
     has_metrics = METRICS in names and (path / METRICS).stat().st_size > 0
     if has_metrics or names & {CHECKPOINT, PREVIOUS} or names - {*WRITTEN, TENSORBOARD, LOCK}:
         return
     shutil.rmtree(path / TENSORBOARD, ignore_errors=True)
-    with suppress(OSError):  # Windows keeps the lock's file, which is open
+    with suppress(OSError):  # Windows keeps the lock file, which is open
         for name in (*WRITTEN, LOCK):
             (path / name).unlink(missing_ok=True)
         if not keep_folder:

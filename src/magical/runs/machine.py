@@ -1,4 +1,4 @@
-"""With what, and where, a result was made."""
+"""The versions, commit and machine that a result was made with."""
 
 import platform
 import subprocess
@@ -42,7 +42,7 @@ def source_commit() -> str | None:
 
 
 def _processor() -> str:
-    """The processor's model; on Linux `platform` does not know it."""
+    """The processor's model, which `platform` does not know on Linux."""
     if _CPU_INFO.is_file():
         for line in _CPU_INFO.read_text(encoding="utf-8", errors="replace").splitlines():
             name, _, value = line.partition(":")

@@ -1,4 +1,4 @@
-"""The metrics of a run: the one writer and the one reader of `metrics.jsonl`."""
+"""The metrics of a run: the only writer and the only reader of `metrics.jsonl`."""
 
 import io
 import json
@@ -27,7 +27,7 @@ class MetricsWriter:
         self._file = io.TextIOWrapper(open_regular(path, "ab"), "utf-8")
 
     def write(self, step: int, metrics: Mapping[str, float | str]) -> None:
-        """Append a line; numbers are rounded to 6 decimals, those that are not finite are null."""
+        """Append a line; numbers are rounded to 6 decimals, and non-finite ones become null."""
         row = {"step": step, **{name: _plain(value) for name, value in metrics.items()}}
         self._file.write(json.dumps(row) + "\n")
         self._file.flush()
@@ -43,7 +43,7 @@ def read_metrics(run: Path | str) -> list[dict[str, Any]]:
     A last line that a crash has truncated is left out.
 
     Raises:
-        RunFolderError: another line is no JSON object with a step.
+        RunFolderError: any other line is not a JSON object with a step.
     """
     path = Path(run) / METRICS
     if not path.exists():

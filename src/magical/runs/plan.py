@@ -10,7 +10,7 @@ from magical.messages import quoted
 from magical.untrusted import read_json
 
 PLAN = "plan.json"  # in a results folder: the planned runs
-RUNS = "runs"  # in a results folder: the folder of their folders
+RUNS = "runs"  # in a results folder: the folder that holds the run folders
 RESULT = "result.json"  # in a run's folder: its final record
 MAX_BYTES = 1 << 26  # of `plan.json`
 MAX_NAME = 40  # characters of a method's name in a file's name
@@ -48,11 +48,11 @@ def file_name(method: str) -> str:
 @dataclass(frozen=True, slots=True)
 class _PlanRecord:
     runs: tuple[ListedRun, ...]
-    collected: dict[str, Any] = field(default_factory=dict)  # of the studies
+    collected: dict[str, Any] = field(default_factory=dict)  # used by the studies
 
 
 def listed_runs(path: Path) -> tuple[ListedRun, ...]:
-    """The runs in the `plan.json` of a results folder; none without it.
+    """The runs in the `plan.json` of a results folder; empty if there is no such file.
 
     Raises:
         ResultsError: the file is damaged, or lists something else.

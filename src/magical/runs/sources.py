@@ -1,4 +1,4 @@
-"""What an entry may have learned from: the words of `learned_from` in its details."""
+"""What an entry may have learned from: the terms of `learned_from` in its details."""
 
 from collections.abc import Iterable, Mapping
 from types import MappingProxyType
@@ -20,8 +20,8 @@ BENCHMARK_PRIOR = "benchmark prior"
 
 # Fields of an entry's details.
 LEARNED_FROM = "learned_from"
-NUM_DEMOS = "num_demos"  # of each task, that a policy learned from
-PRETRAINED_ON = "pretrained_on"  # the tasks that a network learned before; also of `run.json`
+NUM_DEMOS = "num_demos"  # demonstrations of each task that a policy learned from
+PRETRAINED_ON = "pretrained_on"  # the tasks that a network was pre-trained on; also in `run.json`
 
 SOURCES: Mapping[str, str] = MappingProxyType(
     {
@@ -39,14 +39,14 @@ SOURCES: Mapping[str, str] = MappingProxyType(
     }
 )
 
-# Of what learns from Demo demonstrations: each class may use what those before it may.
+# Classes of what learns from Demo demonstrations: each may also use what those before it may.
 CLASSES: Mapping[str, str] = MappingProxyType(
     {"P": DEMONSTRATIONS, "R": RENDERED_STATES, "X": SIMULATOR, "B": BENCHMARK_PRIOR}
 )
 
 
 def parse_source(name: str) -> str:
-    """The name of a source as it is; raises `UnknownNameError` for one that is not in `SOURCES`."""
+    """The name of a source, unchanged; raises `UnknownNameError` if it is not in `SOURCES`."""
     if name not in SOURCES:
         known = ", ".join(SOURCES)
         raise UnknownNameError(
@@ -56,10 +56,10 @@ def parse_source(name: str) -> str:
 
 
 def learning_class(names: Iterable[str]) -> str:
-    """`P`, `R`, `X` or `B`, by the furthest of `CLASSES` that was used; empty for all others.
+    """`P`, `R`, `X` or `B`: the last of `CLASSES` whose source was used; empty for all others.
 
-    Those learned from something besides, such as interaction, or without demonstrations. A parser
-    of frames is declared and changes no class.
+    The others used another source, such as interaction, or no demonstrations. An object parser is
+    declared and does not change the class.
     """
     used = set(names) - {OBJECT_PARSER}
     if DEMONSTRATIONS not in used or not used <= set(CLASSES.values()):
@@ -71,7 +71,7 @@ def learned_from(details: Mapping[str, Any]) -> tuple[str, ...]:
     """What an entry's details say it learned from, in the order of `SOURCES`.
 
     Raises:
-        ValueError: they do not say, or name something that is not in `SOURCES`.
+        ValueError: they do not state it, or name something that is not in `SOURCES`.
     """
     stated = details.get(LEARNED_FROM)
     names = stated if isinstance(stated, list) else None

@@ -1,4 +1,4 @@
-"""The 18 discrete actions, their names, and where they lie among the continuous ones.
+"""The 18 discrete actions, their names, and the continuous actions that they correspond to.
 
 `id = longitudinal + 3 * turn + 9 * gripper`; action 0 (stop, straight, open) is the no-op (appendix
 A.1; docs/specification.md, section 1). A continuous action is a point (drive, turn, grip), each
@@ -30,7 +30,7 @@ class Turn(IntEnum):
 
 
 class Gripper(IntEnum):
-    """Letting the fingers open or pushing them closed."""
+    """Opening or closing the fingers."""
 
     OPEN = 0
     CLOSED = 1
@@ -50,7 +50,7 @@ class Action(NamedTuple):
 
     @property
     def name(self) -> str:
-        """For instance `forward-left-closed`."""
+        """The action's name, such as `forward-left-closed`."""
         return f"{self.longitudinal.name}-{self.turn.name}-{self.gripper.name}".lower()
 
 
@@ -75,12 +75,12 @@ POINTS = tuple((_DRIVE[a.longitudinal], _TURN[a.turn], _GRIP[a.gripper]) for a i
 
 
 def to_continuous(actions: ArrayLike) -> NDArray[np.float64]:
-    """Discrete actions (...,) as continuous ones (..., 3), which make the same motions."""
+    """Discrete actions (...,) as continuous ones (..., 3), which produce the same motions."""
     return np.array(POINTS)[np.asarray(actions, np.intp)]
 
 
 def to_discrete(actions: ArrayLike) -> NDArray[np.int64]:
-    """The inverse of `to_continuous`; raises `ValueError` for a point that is none of the 18."""
+    """The inverse of `to_continuous`; raises `ValueError` for a point that is not one of the 18."""
     points = np.asarray(actions, np.float64).reshape(*np.shape(actions)[:-1], len(PARTS))
     equal = (points[..., None, :] == POINTS).all(axis=-1)  # (..., 18)
     others = points[~equal.any(axis=-1)]

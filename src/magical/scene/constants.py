@@ -1,7 +1,7 @@
-"""Every physical constant once, with its unit and source; what follows from it is computed.
+"""Every physical constant, defined once with its unit and source; derived values are computed.
 
 Units: workspace units (the workspace is the square [-1, 1] x [-1, 1], y up), radians
-(counter-clockwise positive), seconds, kilogram-like mass units. Sections are those of
+(counter-clockwise positive), seconds, kilogram-like mass units. Sections refer to
 docs/specification.md.
 """
 
@@ -9,7 +9,7 @@ import math
 
 # Section 1: time.
 CONTROL_RATE = 8.0  # Hz
-SUBSTEPS = 10  # physics substeps in a control step
+SUBSTEPS = 10  # physics substeps per control step
 SUBSTEP_TIME = 1.0 / (CONTROL_RATE * SUBSTEPS)  # s
 SOLVER_ITERATIONS = 10
 COLLISION_SLOP = 0.01  # units
@@ -26,7 +26,7 @@ ROBOT_MASS = 1.0
 ROBOT_FRICTION = 0.5
 DRIVE_SPEED_FORWARD = 4.0 * ROBOT_RADIUS  # units / s
 DRIVE_SPEED_BACK = -3.0 * ROBOT_RADIUS  # units / s
-TURN_LEAD = 1.5  # rad the control body is ahead while turning
+TURN_LEAD = 1.5  # rad by which the control body is ahead while turning
 TURN_MAX_BIAS = 2.5  # rad / s
 
 # Section 2: eyes.
@@ -45,7 +45,7 @@ FOREARM_BEND = math.pi / 8  # rad
 FINGER_OPEN = math.pi / 8  # rad away from the closed position, outwards
 FINGER_ROOT_X = 0.45 * ROBOT_RADIUS  # units, times the side
 FINGER_ROOT_Y = 0.1 * ROBOT_RADIUS  # units
-FINGER_GAIN = 10.0  # 1 / s: motor rate for each radian of error
+FINGER_GAIN = 10.0  # 1 / s: motor rate per radian of error
 FINGER_MAX_RATE = 1.0  # rad / s
 FINGER_DEAD_RATE = 1e-4  # rad / s: dead band, rates below are set to 0
 
@@ -61,16 +61,18 @@ STAR_OUTER_RADIUS = 1.3 * BLOCK_SIZE  # units
 STAR_INNER_RADIUS = 0.5 * STAR_OUTER_RADIUS  # units
 
 # Sections 6 and 7: the resolutions of the published frames.
-RAW_FRAME_SIZE = 384  # pixels: as rendered, one sample a pixel
+RAW_FRAME_SIZE = 384  # pixels: as rendered, one sample per pixel
 FRAME_SIZE = 96  # pixels: after averaging 4 x 4
-SAMPLES = (1, 2, 4)  # across a pixel, that can be rendered
-MAX_FRAME_SIZE = 4096  # pixels that can be asked for: some 50 MB a frame
+SAMPLES = (1, 2, 4)  # numbers of samples across a pixel that can be rendered
+MAX_FRAME_SIZE = 4096  # pixels: the largest that can be requested, some 50 MB per frame
 
-# Of a scene. No more blocks fit into the workspace; beyond, solver and renderer take minutes.
+# Limits for a scene. No more blocks fit into the workspace; beyond these, the solver and the
+# renderer take minutes.
 MAX_BLOCKS, MAX_REGIONS = 100, 30
 
-# Of a scene and of poses, in units and radians; beyond, the solver's results are no numbers.
+# Limit for scenes and poses, in units and radians; beyond it, the solver's results are not numbers.
 MAX_COORDINATE = 1e3
 
-# Of initial poses, in units and radians; more can be seen, and is what the Jitter variant is for.
+# Limit for shifts of initial poses, in units and radians; larger ones are visible, and are what the
+# Jitter variant is for.
 MAX_NUDGE = 0.01

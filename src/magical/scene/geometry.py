@@ -66,7 +66,7 @@ def shift(polygon: Iterable[Point], dx: float, dy: float) -> Polygon:
 
 
 def finger_polygons(side: int, shrink: float = 0.0) -> tuple[Polygon, Polygon]:
-    """Upper arm and forearm of a finger in its own frame; lengths and thickness less `shrink`."""
+    """Upper arm and forearm of a finger in its own frame, their dimensions reduced by `shrink`."""
     thickness = c.FINGER_THICKNESS - shrink
     upper_length, fore_length = c.UPPER_ARM_LENGTH - shrink, c.FOREARM_LENGTH - shrink
     upper = shift(rectangle(thickness, upper_length), 0.0, upper_length / 2)
@@ -92,7 +92,7 @@ def block_outline(shape: Shape) -> Polygon:
 
 @cache
 def block_pieces(shape: Shape) -> tuple[Piece, ...]:
-    """Convex pieces of a block as it collides, in its own frame."""
+    """Convex pieces of a block for collisions, in its own frame."""
     if shape == Shape.CIRCLE:
         return (Piece(((0.0, 0.0),), c.BLOCK_SIZE),)
     outline = block_outline(shape)
@@ -130,7 +130,7 @@ def place(pieces: Iterable[Piece], pose: Pose) -> tuple[Piece, ...]:
 def depth(a: Piece, b: Piece) -> float:
     """How far two pieces overlap along the best separating direction; negative when apart.
 
-    The separating axis test over edge normals and, where pieces are rounded, vertex pairs.
+    The separating axis test over edge normals and, if a piece is rounded, vertex pairs.
     """
     return min(_depths(a, b))
 

@@ -19,8 +19,8 @@ FIRST_BLOCK = 5  # row of the scene's first block
 class Poses:
     """The pose (x, y, angle) of every body, in the rows named above.
 
-    A finger's position is its root, its angle that of its own frame in the workspace (open, the
-    left finger is at the robot's angle + pi/8). An eye's angle turns its pupil.
+    A finger's position is that of its root; its angle is that of its own frame in the workspace
+    (an open left finger is at the robot's angle + pi/8). An eye's angle turns its pupil.
     """
 
     bodies: NDArray[np.float64]  # (5 + number of blocks, 3)

@@ -24,12 +24,12 @@ class Pose(NamedTuple):
 
 
 def _floats(what: str, values: Sequence[Any], count: int) -> list[float]:
-    """`count` finite numbers, NumPy's too, as floats; raises `InvalidSceneError`."""
+    """`count` finite numbers, including NumPy's, as floats; raises `InvalidSceneError`."""
     try:
         numbers = [float(value) for value in values if isinstance(value, _NUMBERS)]
         if len(values) == len(numbers) == count and all(map(math.isfinite, numbers)):
             return numbers
-    except (TypeError, OverflowError):  # no sequence, or an integer beyond any float
+    except (TypeError, OverflowError):  # not a sequence, or an integer too large for a float
         pass
     raise InvalidSceneError(f"{what}: expected {count} finite numbers, found {quoted(values)}")
 
@@ -125,7 +125,7 @@ class Dynamics:
 
     @staticmethod
     def from_dict(data: Mapping[str, Any] | Sequence[float]) -> "Dynamics":
-        """The inverse of `to_dict`; also takes some of the fields, or all five numbers in order.
+        """The inverse of `to_dict`; also takes only some fields, or all five numbers in order.
 
         Raises:
             InvalidSceneError: anything else, or forces that are not positive.
@@ -213,7 +213,7 @@ class Scene:
     def from_dict(data: Mapping[str, Any]) -> "Scene":
         """The inverse of `to_dict`.
 
-        Regions may be [colour, centre x, centre y, height, width] too, as in the recordings.
+        Regions may also be [colour, centre x, centre y, height, width], as in the recordings.
 
         Raises `InvalidSceneError` or `UnknownNameError`.
         """

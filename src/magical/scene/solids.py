@@ -1,7 +1,8 @@
 """Fast overlap tests between bodies: circles first, exact pieces only where needed.
 
-Placement by rejection (docs/specification.md, section 8) runs hundreds of overlap tests a scene.
-Results equal `geometry.penetrates` of the exact pieces, the slow reference in the tests.
+Placement by rejection (docs/specification.md, section 8) runs hundreds of overlap tests per
+scene. Results equal those of `geometry.penetrates` on the exact pieces, the slow reference in the
+tests.
 """
 
 import math
@@ -45,7 +46,7 @@ def _inradius(outline: g.Polygon) -> float:
 
 @cache
 def block_silhouette(shape: Shape) -> Silhouette:
-    """A block as it collides."""
+    """A block's outline for collisions."""
     round_block = shape == Shape.CIRCLE
     inner = c.BLOCK_SIZE if round_block else _inradius(g.block_outline(shape))
     return _silhouette(g.block_pieces(shape), inner)
@@ -53,7 +54,7 @@ def block_silhouette(shape: Shape) -> Silhouette:
 
 @cache
 def robot_silhouette() -> Silhouette:
-    """The robot with open fingers."""
+    """The robot's outline with open fingers."""
     return _silhouette(g.robot_pieces(), c.ROBOT_RADIUS)
 
 
@@ -66,17 +67,17 @@ class Solid:
 
     @staticmethod
     def of_block(block: Block) -> "Solid":
-        """A block of a scene."""
+        """The solid of a scene's block."""
         return Solid(block_silhouette(block.shape), block.pose)
 
     @staticmethod
     def of_robot(pose: Pose) -> "Solid":
-        """The robot of a scene."""
+        """The solid of a scene's robot."""
         return Solid(robot_silhouette(), pose)
 
     @staticmethod
     def of_region(region: Region) -> "Solid":
-        """A goal region of a scene."""
+        """The solid of a scene's goal region."""
         height, width = region.height, region.width
         rectangle = (g.Piece(g.rectangle(width, height)),)
         return Solid(_silhouette(rectangle, min(height, width) / 2), Pose(*region.centre, 0.0))

@@ -1,4 +1,4 @@
-"""The tasks: Demo scenes, variants and scores. One file for each task; see `Task`."""
+"""The tasks: Demo scenes, variants and scores. Each task has its own file; see `Task`."""
 
 from magical.tasks.axes import CHANGES, VARIANTS, Axis
 from magical.tasks.horizons import (

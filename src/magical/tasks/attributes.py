@@ -13,23 +13,23 @@ Item = TypeVar("Item")
 
 
 def sample_item(items: Sequence[Item], rng: np.random.Generator) -> Item:
-    """One of the items, uniform."""
+    """Sample one of the items uniformly."""
     return items[int(rng.integers(len(items)))]
 
 
 def sample_count(least: int, most: int, rng: np.random.Generator) -> int:
-    """A uniform integer from `least` to `most`, both included."""
+    """Sample an integer uniformly from `least` to `most`, inclusive."""
     return int(rng.integers(least, most + 1))
 
 
 def sample_covering(items: Sequence[Item], count: int, rng: np.random.Generator) -> list[Item]:
-    """`count` items in random order: each item at least once, the rest uniform."""
+    """Sample `count` items in random order: each item at least once, the rest uniform."""
     sampled = [*items, *(sample_item(items, rng) for _ in range(count - len(items)))]
     return [sampled[i] for i in rng.permutation(count)]
 
 
 def cycle_blocks(blocks: Sequence[Block], count: int) -> tuple[Block, ...]:
-    """The first `count` blocks, starting over where there are too few.
+    """The first `count` blocks, starting over if there are too few.
 
     Only for variants with COUNT, which sample every pose, colour and shape afterwards.
     """

@@ -36,8 +36,8 @@ EVERYTHING = ~Axis(0)
 DEMO = "Demo"
 TEST_ALL = "TestAll"
 
-# The names used in environment ids. `TestAll` is what a task that supports every axis varies; see
-# `Task.axes_of` for the others.
+# By the names used in environment ids. `TestAll` has the axes for a task that supports all of them;
+# see `Task.axes_of` for other tasks.
 VARIANTS: Mapping[str, Axis] = MappingProxyType(
     {
         DEMO: Axis(0),
@@ -61,7 +61,7 @@ SHORT_VARIANTS = tuple(map(short_variant, VARIANTS))  # Demo, Jitter, Layout, ..
 
 
 def full_variant(variant: str) -> str:
-    """A variant's name in environment ids, from either name; raises `UnknownNameError`."""
+    """A variant's full name, from its short or full name; raises `UnknownNameError`."""
     for name in VARIANTS:
         if variant in (name, short_variant(name)):
             return name

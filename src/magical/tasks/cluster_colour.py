@@ -2,8 +2,8 @@
 
 The score rises linearly from 0 to 1 as the fraction of correctly clustered blocks rises from 0.5
 to 1. A block is correctly clustered when its squared distance to the centroid of its own colour is
-less than a third of that to the nearest centroid of another colour. The published code has another
-rule (docs/specification.md, section 9).
+less than a third of that to the nearest centroid of another colour. The published code has a
+different rule (docs/specification.md, section 9).
 
 Horizon: 320 control steps (the published code and the human demonstrations: 240).
 

@@ -1,11 +1,11 @@
-"""ClusterColour and ClusterShape but for their Demo scenes: attributes, scores (appendix A.2.7).
+"""ClusterColour and ClusterShape, except for their Demo scenes (appendix A.2.7).
 
 A block of attribute value a is correctly clustered when its squared distance to the centroid of
 the blocks of value a is less than a third of that to the nearest other value's centroid. With f
 the fraction of such blocks, the score is 0 up to f = 0.5 and rises linearly to 1 at f = 1.
 
-The published code requires sqrt(own) < sqrt(nearest other) - 2 own, own and nearest other being
-squared distances, and scores from f = 0.75 (docs/specification.md, section 9).
+The published code requires sqrt(own) < sqrt(nearest other) - 2 own, where own and nearest other are
+squared distances, and its score rises from f = 0.75 (docs/specification.md, section 9).
 """
 
 from collections.abc import Sequence
@@ -22,12 +22,12 @@ from magical.tasks.task import Task
 
 HORIZON = 320  # control steps
 PUBLISHED_HORIZON = 240  # control steps
-BLOCKS = (7, 10)  # least and most in CountPlus
-PUBLISHED_NO_SCORE = 0.75  # fraction of blocks clustered up to which that score is 0
+BLOCKS = (7, 10)  # minimum and maximum in CountPlus
+PUBLISHED_NO_SCORE = 0.75  # fraction of blocks clustered up to which the published score is 0
 
 
 def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
-    """The number of blocks; their colours and shapes with each of the four values present."""
+    """Sample the number of blocks, and their colours and shapes with all four values present."""
     count = sample_count(*BLOCKS, rng) if Axis.COUNT in axes else len(scene.blocks)
     blocks = cycle_blocks(scene.blocks, count)
     if Axis.COLOUR in axes:
@@ -54,7 +54,7 @@ def validate(scene: Scene, attribute: Attribute, expected: Sequence[str]) -> str
 
 
 def make_task(attribute: Attribute, demo: Scene, values: Sequence[str]) -> Task:
-    """The task that clusters blocks by an attribute with these values."""
+    """The task of clustering blocks by an attribute with these values."""
     program = Clustered(attribute)
     return Task(
         name=f"Cluster{attribute.capitalize()}",

@@ -1,12 +1,12 @@
 """FindDupe: push a duplicate of the query block into the goal region (appendix A.2.5).
 
-The query block starts inside the region. Blocks are in the order outside blocks, duplicate, query.
+The query block starts inside the region. The order of blocks is outside blocks, duplicate, query.
 With q the query block, T the other blocks of its shape and colour, D the distractors and R the
 blocks that end inside the region, the score is
 
     [q in R]  x  [T & R not empty]  x  (1 - |D & R| / |R|).
 
-In the published code any two blocks like the query suffice, and q need not stay
+In the published code, any two blocks like the query suffice, and q need not stay
 (docs/specification.md, section 9).
 
 Horizon: 100 control steps.
@@ -16,7 +16,7 @@ Variants: all.
 - Jitter, Layout: poses of robot and blocks, the region's position and size; the query block stays
   within the region.
 - Colour, Shape: the query's and every outside block's, uniform; the duplicate has the query's.
-- CountPlus: 1 to 5 outside blocks besides the duplicate, with Layout, Colour and Shape.
+- CountPlus: 1 to 5 outside blocks in addition to the duplicate, with Layout, Colour and Shape.
 - Dynamics: forces only. All: CountPlus and Dynamics.
 """
 
@@ -44,7 +44,7 @@ from magical.tasks.programs import (
 from magical.tasks.scoring import blocks_inside
 from magical.tasks.task import Task
 
-OTHERS = (1, 5)  # least and most outside blocks besides the duplicate in CountPlus
+OTHERS = (1, 5)  # minimum and maximum number of outside blocks, without the duplicate, in CountPlus
 MARGIN = 0.06  # units from the query's centre to the region's nearest edge
 
 DEMO = Scene(
@@ -68,12 +68,12 @@ PROGRAM = Together(
 
 
 def query_in_region(count: int) -> Mapping[int, int]:
-    """The last block is enclosed by the region."""
+    """Map enclosed blocks to regions: the last block, the query, is in the only region."""
     return {count - 1: 0}
 
 
 def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
-    """The query's colour and shape, the others' number, colours and shapes."""
+    """Sample the query's colour and shape, and the others' number, colours and shapes."""
     *others, duplicate, query = scene.blocks
     (query,) = sample_attributes([query], axes, rng)
     if Axis.COUNT in axes:
@@ -87,19 +87,19 @@ def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
 
 
 def score(scene: Scene, poses: Poses) -> float:
-    """Query satisfied times one less the distractor penalty, 0 to 1 (appendix A.2.5)."""
+    """Query satisfied, times one minus the distractor penalty, 0 to 1 (appendix A.2.5)."""
     query_stays = len(scene.blocks) - 1 in blocks_inside(scene.regions[0], scene, poses)
     return published_score(scene, poses) if query_stays else 0.0
 
 
 def published_score(scene: Scene, poses: Poses) -> float:
-    """As `score`, with any two blocks like the query inside (docs/specification.md, section 9)."""
+    """As `score`, but any two blocks like the query suffice (docs/specification.md, section 9)."""
     kind, inside = alike(scene), blocks_inside(scene.regions[0], scene, poses)
     return len(inside & kind) / len(inside) if len(kind & inside) > 1 else 0.0
 
 
 def alike(scene: Scene) -> set[int]:
-    """The query and all blocks of its shape and colour; the rest are the distractors."""
+    """Indices of the query and all blocks of its shape and colour; the rest are distractors."""
     query = scene.blocks[-1]
     wanted = query.shape, query.colour
     return {i for i, block in enumerate(scene.blocks) if (block.shape, block.colour) == wanted}

@@ -1,7 +1,7 @@
 """FixColour: push the mismatched block out of its goal region (appendix A.2.6).
 
 Each goal region starts with one block inside, block i in region i. Exactly one block, the
-mismatched one, has another colour than its region. The score is 1 if the mismatched block ends
+mismatched one, differs in colour from its region. The score is 1 if the mismatched block ends
 outside its region while every other region contains exactly the block that it started with,
 otherwise 0.
 
@@ -11,9 +11,10 @@ Variants: all.
 
 - Jitter, Layout: poses of the robot and of the blocks within their regions, the regions' positions
   and sizes.
-- Colour: the regions' colours, uniform; one block, uniform, has one of the three other colours.
+- Colour: the regions' colours, uniform; one block, chosen uniformly, has one of the three other
+  colours.
 - Shape: every block's, uniform.
-- CountPlus: 2 or 3 pairs of block and region, with Layout, Colour and Shape.
+- CountPlus: 2 or 3 pairs of a block and a region, with Layout, Colour and Shape.
 - Dynamics: forces only. All: CountPlus and Dynamics.
 """
 
@@ -29,7 +30,7 @@ from magical.tasks.placement import Placement
 from magical.tasks.programs import Every, Matched, Mismatched, OutOfRegions, Together, Undisturbed
 from magical.tasks.task import Task
 
-PAIRS = (2, 3)  # least and most blocks with their regions in CountPlus
+PAIRS = (2, 3)  # minimum and maximum number of pairs in CountPlus
 REGION_SIZE = (0.4, 0.5)  # units
 MARGIN = 0.12  # units from a block's centre to its region's nearest edge
 
@@ -51,12 +52,12 @@ PROGRAM = Together(Every(Mismatched(), OutOfRegions()), Undisturbed(Matched()))
 
 
 def own_region(count: int) -> Mapping[int, int]:
-    """Block i is enclosed by region i."""
+    """Map enclosed blocks to regions: block i is in region i."""
     return {i: i for i in range(count)}
 
 
 def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
-    """The number of pairs, the blocks' shapes, the regions' colours and the mismatch."""
+    """Sample the number of pairs, the blocks' shapes, the regions' colours and the mismatch."""
     count = sample_count(*PAIRS, rng) if Axis.COUNT in axes else len(scene.blocks)
     blocks = list(sample_attributes(cycle_blocks(scene.blocks, count), axes & Axis.SHAPE, rng))
     regions = scene.regions[:count]

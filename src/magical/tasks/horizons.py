@@ -1,4 +1,4 @@
-"""Horizons: the appendix's, the published code's where it has another, or a number of steps."""
+"""Horizons: the appendix's, the published code's where it differs, or a number of steps."""
 
 import operator
 from collections.abc import Iterable
@@ -17,7 +17,7 @@ MAX_HORIZON = int(np.iinfo(np.int64).max)
 
 
 def parse_horizon(value: Any) -> Horizon:
-    """What `Task.resolve_horizon` takes, from "appendix", "published", steps or text of them.
+    """Parse "appendix", "published" or a number of steps into what `Task.resolve_horizon` takes.
 
     Raises:
         InvalidConfigError: none of these, or a number of steps out of range.
@@ -51,10 +51,10 @@ def have_two_horizons(tasks: Iterable[str]) -> bool:
 
 
 def require_two_horizons(tasks: Iterable[str]) -> None:
-    """Check that asking for the published code's horizon changes anything.
+    """Check that the published code's horizon differs from the appendix's for any of the tasks.
 
     Raises:
-        UnknownNameError: each of the tasks has one horizon only, or there is no such task.
+        UnknownNameError: all of the tasks have only one horizon, or a task is unknown.
     """
     names = list(dict.fromkeys(tasks))
     if have_two_horizons(names):

@@ -1,10 +1,10 @@
 """MakeLine: arrange all blocks in a line of any position and direction (appendix A.2.4).
 
 For a pair of blocks, the inliers are the blocks at most d_i = 0.18 units from the geometric line
-through the pair. Sorted along that line, they form subsets wherever neighbours are more than d_c =
-0.42 units apart. With n blocks and m the size of the largest subset over all pairs, the score is 1
-if m = n, 0.5 if m = n - 1, otherwise 0. Colours and shapes are ignored. In the published code, two
-blocks in line score 0 (docs/specification.md, section 9).
+through the pair. Sorted along that line, they are split into subsets wherever neighbours are more
+than d_c = 0.42 units apart. With n blocks and m the size of the largest subset over all pairs, the
+score is 1 if m = n, 0.5 if m = n - 1, otherwise 0. Colours and shapes are ignored. In the published
+code, two of three blocks in a line score 0 (docs/specification.md, section 9).
 
 Horizon: 180 control steps.
 
@@ -27,8 +27,8 @@ from magical.tasks.programs import AllBlocks, Lined
 from magical.tasks.scoring import longest_line, positions
 from magical.tasks.task import Task
 
-BLOCKS = (3, 4)  # least and most in CountPlus
-PUBLISHED_SHORTEST = 3  # blocks: shorter lines count for nothing in the published code
+BLOCKS = (3, 4)  # minimum and maximum in CountPlus
+PUBLISHED_SHORTEST = 3  # blocks: shorter lines score 0 in the published code
 
 DEMO = Scene(
     robot=Pose(0.702, -0.255, 0.347),
@@ -44,7 +44,7 @@ PROGRAM = Lined(AllBlocks())
 
 
 def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
-    """The number of blocks, each block's colour and shape."""
+    """Sample the number of blocks, and each block's colour and shape."""
     blocks = scene.blocks
     if Axis.COUNT in axes:
         blocks = cycle_blocks(blocks, sample_count(*BLOCKS, rng))
@@ -52,7 +52,7 @@ def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
 
 
 def published_score(scene: Scene, poses: Poses) -> float:
-    """As `PROGRAM`'s, but two blocks of three give 0 (docs/specification.md, section 9)."""
+    """As `PROGRAM`'s, but two blocks of three score 0 (docs/specification.md, section 9)."""
     shortest = min(PUBLISHED_SHORTEST, len(scene.blocks))
     return PROGRAM.score(scene, poses) if longest_line(positions(scene, poses)) >= shortest else 0.0
 

@@ -3,7 +3,7 @@
 With T the target blocks (of the region's colour), D the distractors (of other colours) and R the
 blocks that end inside the region, the score is
 
-    |T & R| / |T|  x  (1 - |D & R| / |R|)      (0 where R is empty).
+    |T & R| / |T|  x  (1 - |D & R| / |R|)      (0 if R is empty).
 
 Horizon: 120 control steps.
 
@@ -28,8 +28,8 @@ from magical.tasks.axes import EVERYTHING, Axis
 from magical.tasks.programs import Exactly, OfRegionColour
 from magical.tasks.task import Task
 
-TARGETS = (1, 2)  # least and most in CountPlus
-DISTRACTORS = (0, 2)  # least and most of each other colour in CountPlus
+TARGETS = (1, 2)  # minimum and maximum in CountPlus
+DISTRACTORS = (0, 2)  # minimum and maximum of each other colour in CountPlus
 
 # Targets first, then distractors by colour in the vocabulary's order.
 DEMO = Scene(
@@ -48,7 +48,7 @@ PROGRAM = Exactly(OfRegionColour())
 
 
 def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
-    """The target colour with the others in order, then numbers of blocks, then shapes."""
+    """Sample the target colour (the others follow in order), numbers of blocks and shapes."""
     region, blocks = scene.regions[0], scene.blocks
     target = sample_item(COLOURS, rng) if Axis.COLOUR in axes else region.colour
     renamed = dict(zip(_target_first(region.colour), _target_first(target), strict=True))

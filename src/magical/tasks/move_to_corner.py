@@ -36,7 +36,7 @@ DEMO = Scene(
 
 
 def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
-    """The block's colour and shape."""
+    """Sample the block's colour and shape."""
     return replace(scene, blocks=sample_attributes(scene.blocks, axes, rng))
 
 

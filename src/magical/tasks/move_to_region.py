@@ -30,7 +30,7 @@ PROGRAM = RobotInside()
 
 
 def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
-    """The region's colour."""
+    """Sample the region's colour."""
     if Axis.COLOUR not in axes:
         return scene
     return replace(scene, regions=(replace(scene.regions[0], colour=sample_item(COLOURS, rng)),))

@@ -2,9 +2,9 @@
 
 Source: docs/specification.md, section 8.
 
-One body at a time, uniform proposals, in the order regions, robot, blocks; proposals
+Poses are proposed uniformly for one body at a time, in the order regions, robot, blocks; proposals
 that overlap a body, region or wall already placed are rejected. If all proposals for a body are
-rejected, the scene is restarted, a bounded number of times. Scenes are plain data: a failed attempt
+rejected, placement starts again, a bounded number of times. Scenes are plain data: a failed attempt
 changes nothing.
 """
 
@@ -25,7 +25,7 @@ POSITION_JITTER = 0.025  # units, each coordinate
 ANGLE_JITTER = 0.05 * math.pi  # rad
 SIZE_JITTER = 0.0075  # units, a region's height and width
 MAX_PROPOSALS = 1000  # for one body
-MAX_RESTARTS = 20  # of one scene
+MAX_RESTARTS = 20  # attempts at one scene, including the first
 
 
 def _nowhere(count: int) -> Mapping[int, int]:
@@ -41,7 +41,7 @@ class Placement:
     margin: float = 0.0  # units from an enclosed block's centre to its region's nearest edge
 
     def limit(self, region: Region) -> float:
-        """How far an enclosed block's centre may be from its region's, in each coordinate."""
+        """Largest offset of an enclosed block's centre from its region's, in each coordinate."""
         return min(region.height, region.width) / 2 - self.margin
 
 
@@ -61,7 +61,7 @@ class _Box(NamedTuple):
         )
 
     def around(self, pose: Pose, limit: float) -> "_Box":
-        """A box of positions about another pose, at most `limit` away; angles as in this one."""
+        """A box around another position, at most `limit` from it; angles as in this one."""
         centre = Pose(pose.x, pose.y, self.centre.angle)
         return _Box(centre, min(limit, self.position), self.angle)
 
@@ -78,14 +78,14 @@ def sample_placement(
     """Sample poses and region sizes.
 
     Args:
-        scene: where everything is in the Demo scene.
-        axes: with LAYOUT poses are anywhere, with JITTER near those of `scene`; with neither the
-            scene is returned as it is, and nothing is sampled.
-        rng: the generator.
+        scene: the scene with the poses and region sizes of Demo.
+        axes: with LAYOUT, poses are anywhere; with JITTER, near those of `scene`; with neither,
+            the scene is returned unchanged, and nothing is sampled.
+        rng: the random generator.
         placement: the task's own rules.
 
     Raises:
-        PlacementError: a body found no room in each of `MAX_RESTARTS` attempts.
+        PlacementError: each of `MAX_RESTARTS` attempts found no room for some body.
     """
     if not axes & (Axis.JITTER | Axis.LAYOUT):
         return scene

@@ -1,4 +1,4 @@
-"""Every task by name: those of this package, of other distributions, and registered ones."""
+"""All tasks by name: this package's, those of other distributions, and registered ones."""
 
 import importlib
 import pkgutil
@@ -16,7 +16,7 @@ from magical.tasks.task import Task
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-GROUP = "magical.tasks"  # of entry points, named like their tasks
+GROUP = "magical.tasks"  # of entry points, each named like its task
 
 _tasks: dict[str, Task] = {}
 
@@ -24,8 +24,8 @@ _tasks: dict[str, Task] = {}
 class _Tasks(Mapping[str, Task]):
     """Tasks by name: ours in the order of the appendix, then the others.
 
-    Generated tasks are in it, but there are too many to iterate over. Iteration imports no module
-    of another distribution; taking a task from here does.
+    Generated tasks can be looked up, but iteration leaves them out, since there are too many.
+    Iteration imports no module of another distribution; looking up one of its tasks does.
     """
 
     def __iter__(self) -> Iterator[str]:
@@ -55,7 +55,7 @@ def register_task(task: Task) -> Task:
     """Add a task to `TASKS` and return it.
 
     Raises:
-        InvalidTaskError: another task has its name.
+        InvalidTaskError: another task already has this name.
     """
     if TASKS.get(task.name, task) is not task:
         raise InvalidTaskError(
@@ -70,7 +70,7 @@ def unregister_task(name: str) -> Task:
     """Remove a task from `TASKS` and return it.
 
     Raises:
-        UnknownNameError: no such task.
+        UnknownNameError: there is no such task, or it is a generated one.
     """
     task = get_task(name)
     if _tasks.pop(task.name, None) is None:
@@ -79,11 +79,11 @@ def unregister_task(name: str) -> Task:
 
 
 def get_task(name: str) -> Task:
-    """The task of that exact name.
+    """The task with exactly this name.
 
     Raises:
         UnknownNameError: no task of this name is registered; the message lists the names.
-        PluginError: the task of another distribution cannot be imported.
+        PluginError: a task of another distribution cannot be imported, or is something else.
     """
     if name in TASKS:
         return TASKS[name]
@@ -95,25 +95,26 @@ def get_task(name: str) -> Task:
 
 
 def load_task(name: str) -> Task:
-    """The task of a name, or of `module:NAME`, which is imported and registered.
+    """The task with a given name, or the one at `module:NAME`, which is imported and registered.
 
     Only for names that users give, never for those in entries, run folders and datasets, which may
     come from anywhere.
 
     Raises:
         UnknownNameError: no task of this name is registered.
-        PluginError: the task cannot be imported.
+        PluginError: the task cannot be imported, or is something else.
+        InvalidTaskError: another task already has the name of the imported one.
     """
     return register_task(_loaded(name)) if ":" in name else get_task(name)
 
 
 def possible_variants(name: str) -> tuple[str, ...]:
-    """The variants that a registered task has, or may have where it is not imported yet."""
+    """The variants that a registered task has, or may have if it is not imported yet."""
     return _tasks[name].variants if name in _tasks else tuple(VARIANTS)
 
 
 def load_tasks(modules: Iterable[str]) -> None:
-    """Import modules by name and register the tasks that they hold, if they have not done so."""
+    """Import modules by name and register the tasks that they hold, unless this is done already."""
     for module in modules:
         for task in vars(importlib.import_module(module)).values():
             if isinstance(task, Task) and task.name not in _tasks:
@@ -121,7 +122,7 @@ def load_tasks(modules: Iterable[str]) -> None:
 
 
 def with_tasks(work: Callable[[Item], Result], modules: Iterable[str]) -> Callable[[Item], Result]:
-    """`work` for another process, which loads the tasks of these modules before it is called."""
+    """`work` to be called in another process, where the tasks of these modules are loaded first."""
     return partial(_with_tasks, work, tuple(modules))
 
 
@@ -136,7 +137,7 @@ def discover(package: str, path: Iterable[str]) -> None:
     modules = [importlib.import_module(name) for name in names]
     tasks = [module.TASK for module in modules if hasattr(module, "TASK")]
     for task in sorted(tasks, key=lambda task: (not task.section, task.section, task.name)):
-        _tasks[task.name] = task  # imports no task of this name of another distribution
+        _tasks[task.name] = task  # without importing another distribution's task of this name
 
 
 def _loaded(name: str) -> Task:

@@ -21,7 +21,7 @@ def positions(scene: Scene, poses: Poses) -> list[Point]:
     """The blocks' centres in the scene's order, in units.
 
     Raises:
-        InvalidSceneError: the poses are those of another number of blocks.
+        InvalidSceneError: the poses are for a different number of blocks.
     """
     if len(poses.blocks) != len(scene.blocks):
         raise InvalidSceneError(
@@ -61,7 +61,7 @@ def centroid_distances(
     """Squared distances to centroids.
 
     Args:
-        values: of each block's attribute.
+        values: each block's value of the attribute.
         points: the blocks' centres (..., blocks, 2), in units.
 
     Returns:

@@ -17,7 +17,7 @@ from magical.tasks.validation import validate_scene
 RandomiseFn = Callable[[Scene, Axis, np.random.Generator], Scene]
 ScoreFn = Callable[[Scene, Poses], float]
 ValidateFn = Callable[[Scene], str]
-MAX_SCENES = 1000  # that are sampled for an episode; the paper's tasks need one
+MAX_SCENES = 1000  # sampled at most for one episode; the paper's tasks need only one
 
 Horizon = int | Literal["published"] | None  # steps, the published code's, the appendix's
 
@@ -37,15 +37,15 @@ class Task:
 
     name: str  # as in environment ids, for instance MoveToCorner
     summary: str  # one line: what the robot must do
-    section: str = ""  # of the appendix; tasks are listed in its order, those without come last
+    section: str = ""  # of the appendix; tasks are listed in its order, those without one last
     horizon: int  # control steps (appendix A.2)
-    published_horizon: int | None = None  # the published code's, where different
+    published_horizon: int | None = None  # the published code's, if different
     demo: Scene  # the Demo variant's scene (docs/specification.md, section 8)
     axes: Axis  # the axes that its variants may change (appendix, Table 2)
     randomise_fn: RandomiseFn  # samples counts, colours and shapes along the given axes; not poses
     placement: Placement = field(default_factory=Placement)  # how regions and blocks are placed
     score_fn: ScoreFn  # the appendix's score of a final state, 0 to 1
-    published_score_fn: ScoreFn | None = None  # the published code's, where different (section 9)
+    published_score_fn: ScoreFn | None = None  # the published code's, if different (section 9)
     max_blocks: int  # over all variants
     max_regions: int  # over all variants
     mirror_symmetric: bool = True  # whether mirror images of its scenes are scenes of the task
@@ -88,11 +88,11 @@ class Task:
     def axes_of(self, variant: str) -> Axis:
         """The axes along which a variant differs from Demo.
 
-        TestAll changes everything that the task supports, and jitters poses only where they
-        cannot be sampled freely (docs/specification.md, section 8).
+        TestAll changes everything that the task supports, and jitters poses only if they cannot be
+        sampled freely (docs/specification.md, section 8).
 
         Raises:
-            UnknownNameError: the task lacks the variant; the message says which it has.
+            UnknownNameError: the task lacks the variant; the message lists those it has.
         """
         if variant not in self.variants:
             known, close = ", ".join(self.variants), get_close_matches(str(variant), self.variants)
@@ -109,8 +109,8 @@ class Task:
         """Sample an episode's initial scene and dynamics.
 
         Raises:
-            UnknownNameError: the task lacks the variant; the message says which it has.
-            PlacementError: no room was found for a body, or no scene that fits the task.
+            UnknownNameError: the task lacks the variant; the message lists those it has.
+            PlacementError: no room was found for a body, or no sampled scene fits the task.
         """
         axes = self.axes_of(variant)
         for _ in range(MAX_SCENES):
@@ -124,7 +124,7 @@ class Task:
         """A scene whose initial poses are shifted by at most `size` units and radians.
 
         Raises:
-            PlacementError: the task fits none of many such scenes.
+            PlacementError: none of `MAX_SCENES` such scenes fits the task.
         """
         for _ in range(MAX_SCENES):
             nudged = scene.nudged(size, rng)
@@ -137,26 +137,26 @@ class Task:
         return self.score_fn(scene, poses)
 
     def published_code_score(self, scene: Scene, poses: Poses) -> float:
-        """As `score`, the published code's (docs/specification.md, section 9)."""
+        """As `score`, by the published code's rule (docs/specification.md, section 9)."""
         return (self.published_score_fn or self.score_fn)(scene, poses)
 
     def instruction(self, scene: Scene, *, paraphrase: int = 0, attributes: bool = True) -> str:
-        """What is to be done in an episode from `scene`, in English.
+        """The English instruction for an episode that starts from `scene`.
 
         Args:
             scene: the initial scene.
-            paraphrase: which of several wordings.
+            paraphrase: index of the wording.
             attributes: whether blocks and regions are named by colour and shape.
 
         Returns:
-            The instruction of the task's program, or its summary where it has none.
+            The instruction of the task's program, or the task's summary if it has no program.
         """
         if self.program is None:
             return self.summary
         return instruction(self.program, scene, paraphrase=paraphrase, attributes=attributes)
 
     def validate(self, scene: Scene, nudge: float = 0.0) -> None:
-        """Check that an episode of this task can start from the scene, nudged by so much at most.
+        """Check that an episode of this task can start from a scene nudged by at most `nudge`.
 
         Raises:
             InvalidSceneError: it cannot; the message says why and what to change.

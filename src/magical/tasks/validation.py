@@ -8,7 +8,7 @@ from magical.scene import Scene
 from magical.scene.constants import COLLISION_SLOP
 from magical.scene.solids import Solid
 
-# Units by which bodies may overlap: the solver itself leaves as much between bodies in contact,
+# Units by which bodies may overlap: the solver itself lets bodies in contact overlap by this much,
 # and the published Demo scene of ClusterColour has two blocks that overlap by 0.0095.
 OVERLAP_SLACK = COLLISION_SLOP
 # Units by which bodies may reach into a wall: ClusterShape's TestShape keeps the Demo poses, where
@@ -33,19 +33,18 @@ def named_regions(scene: Scene) -> dict[str, Solid]:
 def validate_scene(scene: Scene, nudge: float = 0.0) -> None:
     """Check that no bodies overlap and that everything is within the workspace.
 
-    Bodies may overlap by `OVERLAP_SLACK` and reach into walls by `WALL_SLACK`, and by as much more
-    as a nudge can bring them there. Blocks and robot may be in regions, which have no physical
-    effect.
+    Bodies may overlap by `OVERLAP_SLACK` and reach into walls by `WALL_SLACK`, plus what a nudge
+    can add. Blocks and robot may be in regions, which have no physical effect.
 
     Args:
         scene: the scene.
         nudge: by how much it may have been nudged, in units and radians (`Scene.nudged`).
 
     Raises:
-        InvalidSceneError: names the bodies and the depth of the overlap, in units.
+        InvalidSceneError: the message names the bodies and the depth of the overlap, in units.
     """
     bodies = named_bodies(scene)
-    check_inside(bodies, WALL_SLACK + 2 * nudge)  # a shift and a turn of less than a unit's radius
+    check_inside(bodies, WALL_SLACK + 2 * nudge)  # a shift, and a turn at a radius below 1 unit
     check_inside(named_regions(scene), ROUNDING)
     check_apart(combinations(bodies.items(), 2), OVERLAP_SLACK + 4 * nudge)
 

@@ -1,7 +1,7 @@
-"""A session over one WebSocket: messages in, status and frames out, the clock between them.
+"""A session over one WebSocket: messages in, status and frames out, driven by a clock.
 
-A policy that is watched is asked in a thread, so that its network or its planning does not hold up
-other players.
+A watched policy is called in a thread, so that its network or its planning does not hold up other
+players.
 """
 
 import asyncio
@@ -22,12 +22,12 @@ from magical.web.players import Player
 from magical.web.security import RateLimit
 from magical.web.session import Session
 
-MESSAGE_RATE = 60.0  # messages a second; the page sends 8, and two for each tap of a key
+MESSAGE_RATE = 60.0  # messages per second; the page sends 8, plus two for each key press
 MESSAGE_BURST = 120.0  # messages
-COMMAND_RATE = 4.0  # messages a second other than keys: these start episodes, or render again
+COMMAND_RATE = 4.0  # messages per second other than keys: these start episodes, or render again
 COMMAND_BURST = 8.0  # messages
-FIRST_TIME = 30.0  # s within which the page must have sent its first message
-MAX_UNSEEN = 4  # frames that the page has not confirmed, beyond which none is sent
+FIRST_TIME = 30.0  # s within which the page must send its first message
+MAX_UNSEEN = 4  # unconfirmed frames, beyond which no more are sent
 
 Save = Callable[[Session, Trajectory], asyncio.Task[None]]
 
@@ -38,20 +38,20 @@ class Close(IntEnum):
     REPLACED = 4001  # the session was opened in another tab
     IDLE = 4002
     FULL = 4003
-    SILENT = 4004  # no message came; the page connects again
+    SILENT = 4004  # no message arrived within `FIRST_TIME`; the page reconnects
 
 
 class Connection:
     """One WebSocket that a player's page has opened.
 
-    The page confirms each frame. One on a slow connection gets fewer of them, always the newest,
+    The page confirms each frame. On a slow connection it gets fewer frames, always the newest,
     rather than a growing queue.
 
     Args:
-        socket: accepted.
-        player: whose session is played.
-        save: starts to store a session's episode; the task ends when the session was told.
-        threads: that policies are asked in.
+        socket: the accepted WebSocket.
+        player: the player whose session is played.
+        save: starts storing a session's episode; the task ends once the session knows the outcome.
+        threads: runs the calls of policies.
     """
 
     def __init__(self, socket: WebSocket, player: Player, save: Save, threads: Executor) -> None:
@@ -60,7 +60,7 @@ class Connection:
         self._session = player.session
         self._save = save
         self._threads = threads
-        self._unseen: deque[int] = deque()  # frames that were sent and not confirmed
+        self._unseen: deque[int] = deque()  # frames that were sent but not confirmed
         self._messages = RateLimit(MESSAGE_RATE, MESSAGE_BURST, monotonic())
         self._commands = RateLimit(COMMAND_RATE, COMMAND_BURST, monotonic())
         self._wake = asyncio.Event()  # there may be something to send
@@ -89,7 +89,7 @@ class Connection:
                     first.reschedule(None)
                     if self._messages.allows(monotonic()):
                         self._handle(event.get("text"))
-                    await asyncio.sleep(0)  # many messages at once must not stop other players
+                    await asyncio.sleep(0)  # many messages at once must not block other players
         except TimeoutError:
             return Close.SILENT
         return None
@@ -98,7 +98,7 @@ class Connection:
         try:
             message = parse_message(text or "")  # None: a binary message
         except MessageError:
-            return  # the page sends none such, and to answer each would help to flood
+            return  # the page sends no invalid messages, and replies would amplify a flood
         if isinstance(message, Keys):
             while self._unseen and self._unseen[0] <= message.seen:
                 self._unseen.popleft()

@@ -1,4 +1,4 @@
-"""A policy that acts in an episode, watched by a person or alone, and its action probabilities."""
+"""A policy that acts in an episode, watched by a player or not, and its action probabilities."""
 
 import threading
 from collections.abc import Callable
@@ -23,36 +23,36 @@ from magical.scene import State
 from magical.web.episode import RECORDER, PlayedEpisode
 from magical.web.policies import Policies
 
-BATCH = 32  # steps whose probabilities are computed at once
+BATCH = 32  # steps per batch when computing probabilities
 
 
 @dataclass(frozen=True, slots=True)
 class Proposal:
-    """What a policy chooses in a state."""
+    """The action that a policy chooses in a state."""
 
     action: int
-    probabilities: tuple[float, ...] | None = None  # (18,); None: it has none
+    probabilities: tuple[float, ...] | None = None  # (18,); None: the policy has none
 
 
-# Called in every state of one episode, in their order, with the action that led to it, if any.
+# Called in every state of one episode, in order, with the action that led to it, if any.
 Chooser = Callable[[State, int | None], Proposal]
 
 
 class Driver:
     """Chooses actions in one episode.
 
-    Nothing is loaded before the first call of `propose`, which may take seconds and is made in a
-    thread. A state that is asked for again gets the same answer.
+    Nothing is loaded before the first call of `propose`, which may take seconds and should be made
+    in a thread. A repeated call for the latest state returns the same proposal.
 
     Args:
-        policies: the server's.
-        number: of the policy.
+        policies: the server's policies.
+        number: the policy's number.
         env_id: the episode's environment.
-        seed: of the expert's strategy, and of sampling actions.
+        seed: seeds the expert's strategy, and the sampling of actions.
 
     Raises:
-        NotFoundError: there is no such policy.
-        PolicyError: it cannot act in this environment.
+        NotFoundError: there is no policy with that number.
+        PolicyError: the policy cannot act in this environment.
     """
 
     def __init__(self, policies: Policies, number: int, env_id: EnvId, seed: int) -> None:
@@ -63,15 +63,15 @@ class Driver:
         self.actor = Actor.EXPERT if entry.folder is None else Actor.POLICY
         self._policies, self._env_id, self._seed = policies, env_id, seed
         self._choose: Chooser | None = None
-        self._latest: tuple[int, Proposal] | None = None  # the step, and what was chosen in it
+        self._latest: tuple[int, Proposal] | None = None  # the latest step and its proposal
         self._lock = threading.Lock()
 
     def propose(self, state: State, executed: int | None) -> Proposal:
-        """What the policy chooses in the next state of the episode.
+        """The action that the policy chooses in the next state of the episode.
 
         Args:
             state: the state.
-            executed: the action that led to it; `None`: the first state.
+            executed: the action that led to it; `None` in the first state.
 
         Raises:
             MagicalError: the policy cannot be loaded, or fails.
@@ -127,20 +127,20 @@ def _network_chooser(policy: Any, env_id: EnvId, seed: int) -> Chooser:
 
 
 def _one_thread() -> AbstractContextManager[None]:
-    """For single observations one thread is faster, and leaves the other cores to the players."""
-    from magical.learning.running.devices import cpu_threads  # imports PyTorch: only for runs
+    """One thread is faster for single observations, and leaves the other cores to players."""
+    from magical.learning.running.devices import cpu_threads  # imports PyTorch; only runs need it
 
     return cpu_threads(1)
 
 
 def roll_out(policies: Policies, number: int, env_id: EnvId, seed: int) -> Trajectory:
-    """One episode of a policy, from the scene of `reset(seed=seed)`.
+    """Roll out a policy for one episode, in the scene of `reset(seed=seed)`.
 
-    Actions are sampled as in an evaluation. The demonstrator is the policy's name.
+    Actions are sampled as in evaluations. The trajectory's demonstrator is the policy's name.
 
     Raises:
-        NotFoundError: there is no policy of that number.
-        MagicalError: it cannot be loaded, or cannot act in the environment.
+        NotFoundError: there is no policy with that number.
+        MagicalError: the policy cannot be loaded, or cannot act in the environment.
     """
     driver, episode = Driver(policies, number, env_id, seed), PlayedEpisode(env_id, seed)
     while not episode.step(driver.propose(*episode.seen).action, driver.actor):
@@ -152,12 +152,12 @@ def roll_out(policies: Policies, number: int, env_id: EnvId, seed: int) -> Traje
 
 
 def episode_probabilities(policy: Any, episode: Trajectory) -> NDArray[np.float64]:
-    """A run's distributions over actions before each step of an episode, (T, 18).
+    """A policy's distributions over actions before each step of an episode, (T, 18).
 
     Raises:
         PolicyError: the policy did not learn the episode's task, or has no probabilities of single
             actions.
-        TrajectoryError, ObservationError: the episode does not have the policy's observations.
+        TrajectoryError, ObservationError: the episode lacks the policy's observations.
     """
     if not hasattr(policy, "probabilities"):
         raise PolicyError(

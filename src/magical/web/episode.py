@@ -1,4 +1,4 @@
-"""An episode that a person plays, with all that is needed to store it."""
+"""An episode being played, with all data needed to store it."""
 
 from dataclasses import replace
 
@@ -25,16 +25,16 @@ class PlayedEpisode:
         self.poses: list[NDArray[np.float64]] = []
         self.last_action: int | None = None
         self.actors: list[Actor] = []  # who chose each action
-        self.policy_actions: list[int] = []  # of the policy that is watched, if any
+        self.policy_actions: list[int] = []  # chosen by the watched policy, if any
         self._note_poses()
 
     def step(self, action: int, actor: Actor, chosen: int | None = None) -> bool:
         """Step the environment; returns whether that was the last step.
 
         Args:
-            action: that is executed.
+            action: the action to execute.
             actor: who chose it.
-            chosen: what the policy that is watched chose, if one is.
+            chosen: the watched policy's choice, if there is such a policy.
         """
         self.actors.append(actor)
         if chosen is not None:
@@ -49,7 +49,7 @@ class PlayedEpisode:
 
     @property
     def seen(self) -> tuple[State, int | None]:
-        """The present state, and the action that led to it."""
+        """The current state, and the action that led to it; `None` in the first state."""
         return self.env.state(), self.last_action
 
     @property
@@ -61,9 +61,9 @@ class PlayedEpisode:
         """The episode as a demonstration.
 
         Args:
-            demonstrator: the name of the person who acted.
-            view: what that person saw last.
-            policy: the name of the policy that was watched, if one was.
+            demonstrator: the player's name.
+            view: the view that the player saw last.
+            policy: the name of the watched policy, if there was one.
         """
         metadata = {"recorder": RECORDER, "view": view}
         trajectory = recorded_trajectory(

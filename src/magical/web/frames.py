@@ -1,4 +1,4 @@
-"""Frames as WebP files, lossless, made quickly: a page that is played on gets eight a second."""
+"""Frames as lossless WebP files, encoded quickly: a page gets eight per second during play."""
 
 import io
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ from magical.scene.constants import RAW_FRAME_SIZE
 
 SIZE = RAW_FRAME_SIZE  # pixels: height, and width of each view
 SAMPLES = 2  # across a pixel, for smooth edges
-GAP = 8  # white pixels between two views; in proportion, for smaller frames
+GAP = 8  # white pixels between two views of this size; proportionally less for smaller frames
 
 
 def render_webp(scene: Scene, poses: Poses, views: Sequence[View]) -> bytes:
@@ -22,9 +22,9 @@ def render_webp(scene: Scene, poses: Poses, views: Sequence[View]) -> bytes:
 
 
 def encode_webp(frames: Sequence[NDArray[np.uint8]]) -> bytes:
-    """Frames (H, W, 3) of one height, from left to right, as one WebP file.
+    """Encode frames (H, W, 3) of equal height, from left to right, as one WebP file.
 
-    It is lossless, with the least effort of compression.
+    The file is lossless, encoded with the least compression effort.
     """
     height = len(frames[0])
     gap = np.full((height, GAP * height // SIZE, 3), 255, np.uint8)

@@ -1,4 +1,4 @@
-"""What the page may send: messages over the socket, requests over HTTP; their types check them."""
+"""What the page may send: messages over the socket, requests over HTTP; types validate them."""
 
 import re
 import unicodedata
@@ -30,26 +30,26 @@ PAGE_VIEWS: Mapping[str, tuple[View, ...]] = MappingProxyType(
 ViewName = Literal["allo", "ego", "both"]
 Number = Annotated[int, Meta(ge=0, le=10**9)]
 PolicyNumber = Annotated[int, Meta(ge=0, le=10**6)]
-# The largest is the largest integer that JavaScript can represent.
+# JavaScript's numbers represent all integers up to this limit.
 FrameNumber = Annotated[int, Meta(ge=0, le=1 << 53)]
-# Scenes of evaluation are not for demonstrations (docs/protocol.md).
+# Evaluation scenes must not be demonstrated (docs/protocol.md).
 Seed = Annotated[int, Meta(ge=0, lt=FIRST_EVALUATION_SEED)]
 SourceKey = Annotated[str, Meta(min_length=1, max_length=20)]
 
 
-# Kinds of characters that no name has: controls, lone surrogates, ends of lines and paragraphs.
+# Unicode categories not allowed in names: controls, surrogates, line and paragraph separators.
 _CONTROLS = frozenset({"Cc", "Cs", "Zl", "Zp"})
 
 
 class _Message(Struct, frozen=True, tag_field="type", tag=str.lower):
-    """A JSON object over the socket, named by its field `type`."""
+    """A JSON object sent over the socket; its field `type` names the class."""
 
 
 class Keys(_Message, frozen=True):
-    """Which controls are held, and the number of the newest frame on the page.
+    """The controls that are held, and the number of the newest frame on the page.
 
-    The page sends one when a key changes and one for every frame, so that one that is lost does no
-    harm and the server knows that the page still answers.
+    The page sends one when a key changes and one for every frame, so that a lost message does no
+    harm and the server knows that the page still responds.
     """
 
     held: Annotated[frozenset[Control], Meta(max_length=len(Control))]
@@ -57,7 +57,7 @@ class Keys(_Message, frozen=True):
 
 
 class Start(_Message, frozen=True):
-    """Start an episode of an environment; without a seed, in a scene sampled anew."""
+    """Start an episode in an environment; without a seed, in a newly sampled scene."""
 
     env_id: str
     seed: Seed | None
@@ -67,7 +67,7 @@ class Start(_Message, frozen=True):
 
 
 class Restart(_Message, frozen=True):
-    """Start over in the same scene."""
+    """Restart the episode in the same scene."""
 
 
 class Pause(_Message, frozen=True):
@@ -81,7 +81,7 @@ class Show(_Message, frozen=True, tag="view"):
 
 
 class Keep(_Message, frozen=True):
-    """Store the episode that has ended."""
+    """Store the finished episode."""
 
     demonstrator: Annotated[str, Meta(max_length=MAX_NAME)]
 
@@ -95,17 +95,17 @@ class Keep(_Message, frozen=True):
 
 
 class Discard(_Message, frozen=True):
-    """Drop the episode that has ended."""
+    """Drop the finished episode."""
 
 
 class Watch(_Message, frozen=True):
-    """Start an episode in which a policy acts until a key is pressed; `None`: play without one."""
+    """Start an episode in which a policy acts until a key is pressed; `None`: without a policy."""
 
     policy: PolicyNumber | None
 
 
 class HandBack(_Message, frozen=True, tag="hand_back"):
-    """Let the policy go on that was taken over from, or paused."""
+    """Let the policy continue after the player has taken over or paused it."""
 
 
 Message = Keys | Start | Restart | Pause | Show | Keep | Discard | Watch | HandBack
@@ -116,10 +116,10 @@ class NoQuery(Struct, frozen=True):
 
 
 class ListQuery(Struct, frozen=True):
-    """Episodes of a source, newest first, `PAGE_LENGTH` of them after the first `skip`."""
+    """A source's episodes, newest first: up to `PAGE_LENGTH` after the first `skip`."""
 
     source: SourceKey
-    task: str  # empty: of all tasks
+    task: str  # empty: all tasks
     skip: Number
 
     def __post_init__(self) -> None:
@@ -149,7 +149,7 @@ class ProbabilitiesQuery(EpisodeQuery, frozen=True):
 
 
 class RolloutRequest(Struct, frozen=True):
-    """A new episode of a policy; without a seed, in a scene sampled anew."""
+    """A new episode of a policy; without a seed, in a newly sampled scene."""
 
     policy: PolicyNumber
     env_id: str
@@ -164,20 +164,20 @@ _DIGITS = re.compile("[0-9]{1,20}")
 
 
 def parse_message(text: str) -> Message:
-    """A message from its text; raises `MessageError` where it is none, or too long."""
+    """Parse a message; raises `MessageError` if it is invalid or too long."""
     content = bounded(text.encode(errors="replace"))
     message: Message = parse_json(content, Message, "message", MessageError)
     return message
 
 
 def parse_query(kind: type[_Record], given: Mapping[str, str]) -> _Record:
-    """A query from the fields of an address, without the token; raises `MessageError`."""
+    """Parse a query from URL parameters, without the token; raises `MessageError`."""
     plain = {name: int(text) if _DIGITS.fullmatch(text) else text for name, text in given.items()}
     return convert(plain, kind, "request", MessageError)
 
 
 def bounded(content: bytes) -> bytes:
-    """The content of a message or request; raises `MessageError` above `MAX_BYTES`."""
+    """Return the content of a message or request; raises `MessageError` above `MAX_BYTES`."""
     if len(content) > MAX_BYTES:
         raise MessageError(f"message: expected at most {MAX_BYTES} bytes, found {len(content)}")
     return content

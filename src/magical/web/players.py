@@ -1,4 +1,4 @@
-"""All sessions of a server: at most so many, resumed within a minute, dropped after it."""
+"""All sessions of a server: a limited number, each dropped a minute after losing its connection."""
 
 import secrets
 from collections.abc import Callable, Iterator
@@ -6,18 +6,18 @@ from collections.abc import Callable, Iterator
 from magical.errors import ServerFullError
 from magical.web.session import Phase, Session
 
-RESUME_TIME = 60.0  # s that a session is kept after its connection was lost
-KEY_BYTES = 16  # of randomness in the key that resumes a session
+RESUME_TIME = 60.0  # s for which a session is kept after its connection was lost
+KEY_BYTES = 16  # random bytes in the key that resumes a session
 
 
 class Player:
-    """A session with its key, and which connection it belongs to."""
+    """A session with its key and the connection that owns it."""
 
     def __init__(self, key: str, session: Session) -> None:
         self.key = key
         self.session = session
-        self._connections = 0  # so far; the newest one owns the session
-        self._left_at: float | None = None  # None: connected
+        self._connections = 0  # number so far; the newest one owns the session
+        self._left_at: float | None = None  # when the connection was lost; None: connected
 
     def connect(self, now: float) -> int:
         """Give the session to a new connection; returns the connection's number."""
@@ -27,17 +27,17 @@ class Player:
         return self._connections
 
     def owned_by(self, connection: int) -> bool:
-        """Whether no newer connection has taken over."""
+        """Whether no newer connection has taken over the session."""
         return connection == self._connections
 
     def disconnect(self, connection: int, now: float) -> None:
-        """Pause the episode; a connection that was replaced has no effect."""
+        """Pause the episode; no effect for a connection that was replaced."""
         if self.owned_by(connection):
             self._left_at = now
             self.session.pause()
 
     def expired(self, now: float) -> bool:
-        """Whether the connection was lost more than `RESUME_TIME` ago."""
+        """Whether the connection was lost more than `RESUME_TIME` ago; never while saving."""
         saving = self.session.phase is Phase.SAVING
         return not saving and self._left_at is not None and now - self._left_at > RESUME_TIME
 
@@ -46,9 +46,9 @@ class Players:
     """The players of a server.
 
     Args:
-        make_session: makes a session at the time it is given.
-        limit: the largest number of sessions, including those whose connection was lost and that
-            can still be resumed.
+        make_session: makes a session, given the current time.
+        limit: the maximum number of sessions, including those that lost their connection and can
+            still be resumed.
     """
 
     def __init__(self, make_session: Callable[[float], Session], limit: int) -> None:
@@ -63,10 +63,10 @@ class Players:
         return iter(self._players.values())
 
     def find_or_add(self, key: str | None, now: float) -> Player:
-        """The player with that key, or a new one.
+        """The player with that key, or a new player.
 
         Raises:
-            ServerFullError: there is no such player, and no room for a new one.
+            ServerFullError: there is no such player, and the server is full.
         """
         self.drop_expired(now)
         if key is not None and key in self._players:
@@ -85,6 +85,6 @@ class Players:
         self._players.pop(player.key, None)
 
     def drop_expired(self, now: float) -> None:
-        """Drop the sessions that were not resumed in time, each with its whole episode."""
+        """Drop the sessions that were not resumed in time, with their episodes."""
         for player in [player for player in self if player.expired(now)]:
             self.remove(player)

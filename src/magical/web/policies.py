@@ -1,4 +1,4 @@
-"""The policies that the page offers: the scripted expert, and the runs in given folders."""
+"""The policies that the page offers: the scripted expert, and the runs in the given folders."""
 
 import importlib
 import threading
@@ -22,8 +22,8 @@ from magical.web.library.sources import unique_names, version_of
 
 EXPERT = 0  # the number of the scripted expert
 EXPERT_NAME = "expert"  # also the demonstrator of its episodes
-MAX_DEPTH = 3  # folders below a given one in which runs are looked for
-MAX_LOADED = 4  # policies that are kept in memory
+MAX_DEPTH = 3  # levels of folders below a given one that are searched for runs
+MAX_LOADED = 4  # policies kept in memory
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,12 +31,12 @@ class PolicyEntry:
     """A policy that can be watched or rolled out."""
 
     name: str
-    tasks: tuple[str, ...]  # that it can act in
+    tasks: tuple[str, ...]  # in which it can act
     algorithm: str | None = None  # None: the scripted expert
     folder: Path | None = None
 
     def check(self, env_id: EnvId) -> None:
-        """Raise `PolicyError` where it cannot act in an environment."""
+        """Raise `PolicyError` if the policy cannot act in an environment."""
         if env_id.task not in self.tasks:
             raise PolicyError(
                 f"{self.name}: expected an environment of the tasks it can act in, "
@@ -45,13 +45,13 @@ class PolicyEntry:
 
 
 class Policies:
-    """The policies of a server by number: 0 is the expert, then runs in the order of finding them.
+    """The policies of a server by number: 0 is the expert, then runs in the order they were found.
 
     Args:
         folders: run folders, or folders with run folders in them.
 
     Raises:
-        RunFolderError: there is no such folder.
+        RunFolderError: a folder does not exist.
     """
 
     def __init__(self, folders: Sequence[Path] = ()) -> None:
@@ -62,14 +62,14 @@ class Policies:
         self._folders = dict(zip(names, folders, strict=True))
         self._entries = [PolicyEntry(EXPERT_NAME, tuple(filter(has_expert, TASKS)))]
         self._load = lru_cache(MAX_LOADED)(lambda folder, _version: load_policy(folder))
-        self._lock = threading.Lock()  # of the list, and so that no run is loaded twice at once
+        self._lock = threading.Lock()  # for the list, and so that no run is loaded twice at once
         if folders:
-            with suppress(ImportError):  # later it would hold up all players for seconds
+            with suppress(ImportError):  # a later import would hold up all players for seconds
                 importlib.import_module("magical.learning.policy")
         self.refresh()
 
     def refresh(self) -> Sequence[PolicyEntry]:
-        """All policies, with runs that were added meanwhile; numbers stay what they are."""
+        """All policies, including runs that were added since; numbers do not change."""
         with self._lock:
             known = {entry.folder for entry in self._entries}
             for name, root in self._folders.items():
@@ -80,19 +80,19 @@ class Policies:
             return tuple(self._entries)
 
     def find(self, number: int) -> PolicyEntry:
-        """The policy of a number; raises `NotFoundError`."""
+        """The policy with a number; raises `NotFoundError`."""
         count = len(self._entries)
         if not 0 <= number < count:
             raise NotFoundError(f"policy: expected one of {count}, found number {number}")
         return self._entries[number]
 
     def load(self, number: int) -> Policy:
-        """A run's policy, from its newest checkpoint; takes seconds for the first one.
+        """A run's policy, from its newest checkpoint; the first call takes seconds.
 
-        It has a memory of its own.
+        Every call returns a copy with its own episode state.
 
         Raises:
-            PolicyError: it is the expert, which is no network, or its actions are continuous.
+            PolicyError: the policy is the expert, which has no network, or has continuous actions.
             RunFolderError, CheckpointError: the run is damaged, or has no checkpoint yet.
             MissingDependencyError: PyTorch is not installed.
         """
@@ -115,7 +115,7 @@ def find_runs(root: Path) -> list[Path]:
 
 
 def _entry(name: str, root: Path, folder: Path) -> PolicyEntry:
-    """The entry of a run below one of the given folders, whose name is empty if it is the only."""
+    """The entry of a run in a given folder; `name` is empty if only one folder was given."""
     parts = [name, *folder.relative_to(root).parts]
     shown = "/".join(filter(None, parts)) or root.resolve().name
     try:

@@ -15,12 +15,12 @@ from starlette.responses import PlainTextResponse
 from starlette.types import ASGIApp, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-TOKEN_BYTES = 32  # of randomness, twice the least that the token must have
-REQUEST_TIME = 10.0  # s within which a request must have arrived, its body too
+TOKEN_BYTES = 32  # random bytes in the token, twice the required minimum
+REQUEST_TIME = 10.0  # s within which a request must have arrived, including its body
 LOOPBACK = frozenset({"localhost", "127.0.0.1", "::1"})
 
-# Sent with every answer. Nothing is loaded from elsewhere, the page cannot be framed, and its
-# address, which has the token in it, is not given to other sites.
+# Sent with every response. Nothing is loaded from other hosts, the page cannot be framed, and its
+# URL, which contains the token, is not disclosed to other sites.
 HEADERS: Mapping[str, str] = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": (
@@ -35,7 +35,7 @@ HEADERS: Mapping[str, str] = {
 
 
 def new_token() -> str:
-    """A random token of 256 bits, fit for a URL."""
+    """A random URL-safe token of 256 bits."""
     return secrets.token_urlsafe(TOKEN_BYTES)
 
 
@@ -43,14 +43,14 @@ def new_token() -> str:
 class Guard:
     """Decides which requests are answered.
 
-    The Host header protects against DNS rebinding: a page of another site that has its own name
-    resolved to this machine still sends that name. Addresses cannot be rebound, so a server that
+    Checking the Host header protects against DNS rebinding: a page of another site whose name
+    resolves to this machine still sends that name. IP addresses cannot be rebound, so a server that
     is not bound to loopback alone accepts any.
 
     Args:
-        token: the secret, which every request but those for the page's files must carry.
-        hosts: names and addresses under which the server may be addressed; ports are not
-            compared, since a tunnel may change them.
+        token: the secret that every request must carry, except those for the page's files.
+        hosts: names and addresses by which the server may be addressed; ports are not compared,
+            since a tunnel may change them.
         any_address: whether any IP address is accepted as well.
     """
 
@@ -59,14 +59,14 @@ class Guard:
     any_address: bool = False
 
     def knows(self, token: str) -> bool:
-        """Whether a token is the right one; takes the same time wherever they differ."""
+        """Whether a token is the right one; compares in constant time."""
         return hmac.compare_digest(token.encode(), self.token.encode())
 
     def accepts_host(self, headers: Mapping[str, str]) -> bool:
         """Whether the Host header names this server."""
         try:
             parts = urlsplit(f"//{headers.get('host', '')}")
-            name, _ = parts.hostname or "", parts.port  # raises where the port is no number
+            name, _ = parts.hostname or "", parts.port  # raises if the port is not a number
             return name in self.hosts or (self.any_address and bool(ipaddress.ip_address(name)))
         except ValueError:
             return False
@@ -75,8 +75,8 @@ class Guard:
         """Whether a request comes from this server's own page.
 
         Args:
-            headers: of the request.
-            required: whether a request without an Origin header is refused: browsers send one with
+            headers: the request's headers.
+            required: whether a request without an Origin header is refused; browsers send one with
                 every WebSocket and every request that changes something.
         """
         origin = headers.get("origin")
@@ -86,7 +86,7 @@ class Guard:
 
 
 def make_guard(host: str, token: str, allowed: frozenset[str] = frozenset()) -> Guard:
-    """The guard of a server that is bound to `host` and may also be called by the allowed names."""
+    """The guard of a server that is bound to `host` and may also be addressed by allowed names."""
     names = LOOPBACK | {host.lower()} | {name.lower() for name in allowed}
     if host in LOOPBACK:  # reachable from this machine alone
         return Guard(token, names)
@@ -94,16 +94,16 @@ def make_guard(host: str, token: str, allowed: frozenset[str] = frozenset()) -> 
 
 
 def page_url(host: str, port: int, token: str) -> str:
-    """The page's address."""
+    """The page's URL."""
     name = socket.gethostname() if host in ("0.0.0.0", "::") else host
     return f"http://{f'[{name}]' if ':' in name else name}:{port}/?token={token}"
 
 
 class GuardMiddleware:
-    """Answers only what the guard accepts.
+    """Passes on only the requests that the guard accepts.
 
     Args:
-        app: what answers the rest.
+        app: the application that handles accepted requests.
         guard: decides what is refused.
         public: paths that may be read without the token.
     """
@@ -123,7 +123,7 @@ class GuardMiddleware:
             await answer(scope, receive, send)
 
     def _problem(self, scope: Scope) -> str | None:
-        """Why a request is refused; `None`: it is not."""
+        """Why a request is refused; `None` if it is accepted."""
         headers, guard = Headers(scope=scope), self._guard
         reading = scope["type"] == "http" and scope["method"] in ("GET", "HEAD")
         if not guard.accepts_host(headers):
@@ -137,14 +137,14 @@ class GuardMiddleware:
 
 
 class RateLimit:
-    """A token bucket: `rate` messages a second on average, `burst` at once."""
+    """A token bucket: `rate` messages per second on average, `burst` at once."""
 
     def __init__(self, rate: float, burst: float, now: float) -> None:
         self.rate, self.burst = rate, burst
         self._available, self._updated = burst, now
 
     def allows(self, now: float) -> bool:
-        """Whether one more message may be handled now, which then counts."""
+        """Whether one more message may be handled now; if so, it is counted."""
         elapsed, self._updated = now - self._updated, now
         self._available = min(self.burst, self._available + elapsed * self.rate)
         if self._available < 1.0:
@@ -156,18 +156,18 @@ class RateLimit:
 class TimedProtocol(H11Protocol):
     """HTTP whose connections are closed when a request does not arrive within `REQUEST_TIME`.
 
-    Without it, a client that sends a byte now and then keeps a connection for good.
+    Without it, a client that sends a byte now and then could keep a connection open forever.
     """
 
     _deadline: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Wait for a request from now on."""
+        """Start the deadline of the first request."""
         super().connection_made(transport)
         self._start()
 
     def data_received(self, data: bytes) -> None:
-        """Wait for the rest of a request, from its first byte on."""
+        """Start the deadline at a request's first byte; stop it when the request is complete."""
         if self._deadline is None:
             self._start()
         super().data_received(data)
@@ -175,12 +175,12 @@ class TimedProtocol(H11Protocol):
             self._stop()
 
     def handle_websocket_upgrade(self, event: h11.Request) -> None:
-        """Wait no longer: the socket's own protocol takes over."""
+        """Stop the deadline: the WebSocket protocol takes over."""
         self._stop()
         super().handle_websocket_upgrade(event)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Wait no longer."""
+        """Stop the deadline."""
         self._stop()
         super().connection_lost(exc)
 

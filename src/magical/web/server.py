@@ -1,4 +1,4 @@
-"""The application: the page's files, a JSON API, and the socket that one plays over."""
+"""The web application: the page's files, a JSON API, and the WebSocket for playing."""
 
 import asyncio
 import json
@@ -40,24 +40,24 @@ PAGE_FILES = {
     "/style.css": ("style.css", "text/css"),
     **{f"/{name}.js": (f"{name}.js", "text/javascript") for name in SCRIPTS},
 }
-SHUTDOWN_TIME = 2  # s that open connections get to end
-DRIVING_THREADS = 2  # that policies which are watched are asked in
+SHUTDOWN_TIME = 2  # s that open connections have to end
+DRIVING_THREADS = 2  # threads that call watched policies
 SWEEP_TIME = 5.0  # s between checks for sessions that were not resumed in time
 
 
 class PlayServer:
-    """A server's application and what its routes share.
+    """A server's application and the state that its routes share.
 
     Args:
         guard: decides which requests are answered.
-        env_id: the environment that a new player starts in.
-        record: the dataset's folder; `None`: nothing is recorded.
-        max_players: the largest number of environments.
-        datasets: to look at; the dataset that is recorded is always listed.
+        env_id: the environment in which a new player starts.
+        record: the folder of the dataset to record into; `None`: nothing is recorded.
+        max_players: the maximum number of sessions, each with its own environment.
+        datasets: folders of datasets to view; the dataset being recorded is always listed.
         runs: run folders, or folders with run folders in them, whose policies can be watched.
 
     Raises:
-        DatasetError: the folder to record in cannot be written, or another one holds no dataset.
+        DatasetError: the recording folder cannot be written, or another folder holds no dataset.
         RunFolderError: a folder of runs does not exist.
     """
 
@@ -73,7 +73,7 @@ class PlayServer:
     ) -> None:
         recorded = [record] if record else []
         folders = {path.resolve(): path for path in [*datasets, *recorded]}
-        policies, rng = Policies(runs), np.random.default_rng()  # of scenes' seeds
+        policies, rng = Policies(runs), np.random.default_rng()  # samples the seeds of scenes
         self._writer = DatasetWriter(record) if record else None
         self._saving: set[asyncio.Task[None]] = set()
         self._library = Library(list(folders.values()), policies)
@@ -81,7 +81,7 @@ class PlayServer:
         new_session = partial(Session, env_id, rng, policies, record is not None)
         self.players = Players(new_session, max_players)
         self.app = Starlette(
-            routes=[  # none takes a path from outside, so none can leave the page's folder
+            routes=[  # none takes a file path from requests, so none can leave the page's folder
                 *(Route(path, _page_file(*file)) for path, file in PAGE_FILES.items()),
                 *self._library.routes(),
                 WebSocketRoute("/socket", self._play),
@@ -92,7 +92,7 @@ class PlayServer:
 
     @asynccontextmanager
     async def _lifespan(self, _: Starlette) -> AsyncIterator[None]:
-        """Drop lost sessions in time; at the end, wait for what is being stored."""
+        """Regularly drop expired sessions; at the end, wait for episodes that are being stored."""
         sweep = asyncio.create_task(self._drop_expired())
         yield
         sweep.cancel()
@@ -101,7 +101,7 @@ class PlayServer:
         await asyncio.gather(*self._saving)
 
     async def _play(self, socket: WebSocket) -> None:
-        """Play over a socket; `session` in its address resumes the session of that key."""
+        """Play over a socket; the URL parameter `session` resumes the session with that key."""
         await socket.accept()
         try:
             key = socket.query_params.get("session")
@@ -117,11 +117,11 @@ class PlayServer:
         if reason is Close.IDLE:
             self.players.remove(player)
         if reason is not None:
-            with suppress(RuntimeError):  # closed from the other side meanwhile
+            with suppress(RuntimeError):  # meanwhile closed by the page
                 await socket.close(reason)
 
     def _save(self, session: Session, trajectory: Trajectory) -> asyncio.Task[None]:
-        """Start to store an episode in a thread, which the loss of a connection does not stop."""
+        """Start storing an episode in a thread; losing the connection does not stop it."""
         task = asyncio.create_task(self._store(session, trajectory))
         self._saving.add(task)
         task.add_done_callback(self._saving.discard)
@@ -148,15 +148,15 @@ def _page_file(name: str, media_type: str) -> Callable[[Request], Response]:
 
 
 def listen(host: str, port: int) -> sockets.socket:
-    """A socket that listens on an address; port 0 takes a free one.
+    """A socket that listens on an address; port 0 picks a free port.
 
     Raises:
-        ServerError: the address is not this machine's, or in use.
+        ServerError: the address is not this machine's, or is in use.
     """
     try:
         family = sockets.AF_INET6 if ":" in host else sockets.AF_INET
         listening = sockets.create_server((host, port), family=family)
-        # asyncio switches Nagle's algorithm off, but only where the protocol is said to be TCP.
+        # asyncio disables Nagle's algorithm only if the socket's protocol is stated to be TCP.
         tcp = (family, sockets.SOCK_STREAM, sockets.IPPROTO_TCP)
         return sockets.socket(*tcp, fileno=listening.detach())
     except (OSError, OverflowError) as error:
@@ -167,16 +167,17 @@ def listen(host: str, port: int) -> sockets.socket:
 
 
 def make_server(app: Starlette) -> uvicorn.Server:
-    """The server for an application: `run(sockets=[listening])` answers until it is stopped.
+    """The server for an application: `run(sockets=[listening])` serves until it is stopped.
 
-    The renderer is compiled, or loaded, here, so that the first player need not wait for it.
+    The renderer is compiled, or loaded from the cache, here, so that the first player need not
+    wait for it.
     """
     warm_up(frames.SAMPLES)
     config = uvicorn.Config(
         app,
         lifespan="on",
         log_level="warning",
-        access_log=False,  # it would show the token
+        access_log=False,  # it would contain the token
         server_header=False,
         headers=list(HEADERS.items()),
         proxy_headers=False,

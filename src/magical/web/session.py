@@ -1,7 +1,7 @@
-"""One player's session: an environment, its clock, and the episode that is played.
+"""One player's session: an environment, its clock, and the episode being played.
 
-Time is passed in, in seconds of any steady clock; nothing here waits, reads a clock or knows about
-sockets.
+Time is passed in, in seconds of any monotonic clock; nothing here waits, reads a clock or knows
+about sockets.
 """
 
 from dataclasses import dataclass
@@ -25,24 +25,24 @@ from magical.web.messages import PAGE_VIEWS, Message
 from magical.web.policies import Policies
 
 STEP_TIME = 1.0 / CONTROL_RATE  # s
-POLL_TIME = STEP_TIME / 8  # s between checks whether a policy has chosen its action
+POLL_TIME = STEP_TIME / 8  # s between checks whether the policy has chosen its action
 SILENCE_TIME = 2.0  # s without a message from the page, after which a running episode is paused
-IDLE_TIME = 600.0  # s without a key or a button, after which a session ends
+IDLE_TIME = 600.0  # s without a key or button press, after which a session ends
 
 
 class Phase(StrEnum):
-    """What a session waits for."""
+    """What a session is waiting for."""
 
     READY = "ready"  # the first key of an episode
     PLAYING = "playing"  # the clock
     PAUSED = "paused"  # any key
-    ENDED = "ended"  # keep or discard; without recording, the next episode
+    ENDED = "ended"  # to keep or discard; without recording, the next episode
     SAVING = "saving"  # the disk
 
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """What a policy chooses in the present state; to be answered in a thread."""
+    """A request for a policy's action in the current state; to be answered in a thread."""
 
     driver: Driver
     state: State
@@ -56,19 +56,19 @@ class Question:
 class Session:
     """One player's environment and episode, driven by messages and by the clock.
 
-    The environment steps at 8 Hz from the first key to the horizon. A key that was pressed and let
-    go between two steps counts for the next one.
+    The environment steps at 8 Hz from the first key press to the horizon. A key that was pressed
+    and released between two steps counts for the next one.
 
-    Where a policy is watched, it acts from the start until a key is pressed, and again when it is
-    handed back to. It is asked in every state, whoever acts: take each `question`, and give its
-    answer to `note_proposal`.
+    A watched policy acts from the start until a key is pressed, and again after control is handed
+    back to it. It is asked in every state, whoever acts: the caller takes each `Question` from
+    `take_question` and passes the answer to `note_proposal`.
 
     Args:
         env_id: the first environment.
         rng: samples the seeds of scenes.
-        policies: that can be watched.
+        policies: the policies that can be watched.
         recording: whether episodes can be kept.
-        now: the time, in seconds.
+        now: the current time, in seconds.
     """
 
     def __init__(
@@ -82,9 +82,9 @@ class Session:
         self.recording = recording
         self.phase = Phase.READY
         self.view = "allo"
-        self.notice = ""  # for the player: what went wrong
-        self.kept = 0  # episodes stored
-        self.changes = 0  # counts what the page should show; also the number of the frame
+        self.notice = ""  # tells the player what went wrong
+        self.kept = 0  # number of stored episodes
+        self.changes = 0  # counts changes that the page should show; also the frame number
         self._rng = rng
         self._held: frozenset[Control] = frozenset()
         self._pressed: frozenset[Control] = frozenset()  # since the last step
@@ -92,31 +92,31 @@ class Session:
         self._heard_at = now
         self._input_at = now
         self._fixed_seed = False  # whether the next episode has the same seed
-        self._pending: Trajectory | None  # the episode that is to be stored
+        self._pending: Trajectory | None  # the episode to be stored
         self._policies = policies
-        self._driver: Driver | None  # of the policy that is watched
+        self._driver: Driver | None  # of the watched policy
         self._is_handed: bool  # whether the policy acts
-        self._proposal: Proposal | None  # what it chooses in the present state
-        self._asked: bool  # for the proposal
+        self._proposal: Proposal | None  # what it chooses in the current state
+        self._asked: bool  # whether the proposal was asked for
         self._begin(env_id, None, None)
 
     def joined(self, now: float) -> None:
-        """Note that a page was connected: it holds no keys, and a running episode is paused."""
+        """Note that a page has connected: no keys are held, and a running episode is paused."""
         self._held = frozenset()
         self._heard_at = self._input_at = now
-        self._asked = False  # an answer may have been lost with the former connection
+        self._asked = False  # an answer may have been lost with the previous connection
         self.pause()
         self._changed()
 
     def pause(self) -> None:
-        """Stop a running episode until the next key."""
+        """Pause a running episode until the next key press."""
         self._pressed = frozenset()
         if self.phase is Phase.PLAYING:
             self.phase = Phase.PAUSED
             self._changed()
 
     def idle(self, now: float) -> bool:
-        """Whether the player has done nothing for `IDLE_TIME`."""
+        """Whether the player has done nothing for `IDLE_TIME`; never while an episode is saved."""
         return self.phase is not Phase.SAVING and now - self._input_at > IDLE_TIME
 
     # Messages
@@ -125,8 +125,8 @@ class Session:
         """Do what a message asks for.
 
         Raises:
-            MessageError: it cannot be followed now; nothing has changed.
-            MagicalError: an environment could not be started; the old one goes on.
+            MessageError: the message is not allowed in the current phase; the episode is unchanged.
+            MagicalError: an environment could not be started; the old one continues.
         """
         self._heard_at = now
         if isinstance(message, messages.Keys):
@@ -194,7 +194,7 @@ class Session:
 
     @property
     def can_keep(self) -> bool:
-        """Whether the episode, once it has ended, can be kept: a person has acted in it."""
+        """Whether the episode can be kept once it has ended: if recording and the player acted."""
         return self.recording and Actor.HUMAN in self.episode.actors
 
     def _require_decision(self) -> None:
@@ -205,23 +205,23 @@ class Session:
         if self.phase is not Phase.ENDED or not self.can_keep:
             raise MessageError(f"{what}: there is no finished episode to {what}")
 
-    # The policy that is watched
+    # The watched policy
 
     def take_question(self) -> Question | None:
-        """What the policy is to be asked now, once for each state."""
+        """The question to ask the policy now, once for each state; `None` if there is none."""
         if self._driver is None or self._asked or self.phase in (Phase.ENDED, Phase.SAVING):
             return None
         self._asked = True
         return Question(self._driver, *self.episode.seen)
 
     def note_proposal(self, question: Question, proposal: Proposal) -> None:
-        """Note the answer to a question; one that comes too late has no effect."""
+        """Note the answer to a question; a late answer has no effect."""
         if question.driver is self._driver and question.state.step == self.episode.steps:
             self._proposal = proposal
             self._changed()
 
     def note_failure(self, question: Question, problem: str) -> None:
-        """Go on without a policy that has failed."""
+        """Restart the episode without a policy that has failed."""
         if question.driver is self._driver:
             self._begin(self.episode.env_id, self.episode.seed, None)
             self.note_problem(problem)
@@ -229,27 +229,27 @@ class Session:
     # Storing
 
     def take_pending(self) -> Trajectory | None:
-        """The episode to be stored, once: call `stored` or `not_stored` after that."""
+        """The episode to be stored, returned once; call `stored` or `not_stored` afterwards."""
         pending, self._pending = self._pending, None
         return pending
 
     def stored(self) -> None:
-        """The pending episode is in the dataset: go on with the next one."""
+        """Note that the pending episode is in the dataset, and start the next one."""
         self.kept += 1
         self._next_episode(self._policy)
         self._changed()
 
     def not_stored(self, problem: str) -> None:
-        """The pending episode could not be stored; the player may try again, or discard it."""
+        """Note that the pending episode was not stored; the player may retry or discard it."""
         self.phase = Phase.ENDED
         self.note_problem(problem)
 
     # The clock
 
     def advance(self, now: float) -> None:
-        """Step the environment if a step is due; pause it if the page has fallen silent.
+        """Step the environment if a step is due; pause the episode if the page has gone silent.
 
-        After a delay no steps are made up for: the player could not have seen them.
+        After a delay, missed steps are not caught up: the player could not have seen them.
         """
         if self.phase is not Phase.PLAYING:
             self.step_at = now + STEP_TIME
@@ -257,7 +257,7 @@ class Session:
         if now < self.step_at:
             return
         if self._driver is not None and self._proposal is None:
-            # Meanwhile no frame is sent that the page could confirm.
+            # While waiting, no frame is sent that the page could confirm.
             self._heard_at += now - self.step_at + POLL_TIME
             self.step_at = now + POLL_TIME
             return
@@ -313,7 +313,7 @@ class Session:
         }
 
     def frame(self) -> bytes:
-        """The present frame as a WebP file."""
+        """The current frame as a WebP file."""
         state = self.episode.env.state()
         return render_webp(state.scene, state.poses, PAGE_VIEWS[self.view])
 
@@ -326,7 +326,7 @@ class Session:
         return self._driver.number if self._driver else None
 
     def _begin(self, env_id: EnvId, seed: int | None, policy: int | None) -> None:
-        """Begin an episode; with a policy that acts, at once, and otherwise with the first key."""
+        """Begin an episode: at once with a policy, otherwise at the first key press."""
         chosen = sample_training_seeds(self._rng, 1)[0] if seed is None else seed
         driver = None if policy is None else Driver(self._policies, policy, env_id, chosen)
         self.episode = PlayedEpisode(env_id, chosen)

@@ -1,7 +1,7 @@
-"""Datasets of demonstrations on the Hugging Face Hub, with a card made from their provenance.
+"""Datasets of demonstrations on the Hugging Face Hub, with a card generated from their provenance.
 
-Needs the `hub` extra. The endpoint and the token are those of `huggingface_hub`: HF_ENDPOINT,
-HF_TOKEN, or what `hf auth login` has stored.
+Needs the `hub` extra. Endpoint and token are those of `huggingface_hub`: from HF_ENDPOINT and
+HF_TOKEN, or from `hf auth login`.
 """
 
 import shutil
@@ -21,24 +21,24 @@ from magical.extras import require
 from magical.messages import printable, quoted
 
 CARD = "README.md"
-_FILES = (NAME, f"{FOLDER}/*.npz")  # what is a dataset's own in a repository
+_FILES = (NAME, f"{FOLDER}/*.npz")  # a dataset's files in a repository
 
 
 def push(dataset: Dataset, repo: str, licence: str, *, private: bool = False) -> str:
     """Upload a dataset in one commit, with its card; returns the repository's address.
 
-    The repository is created where it does not exist; trajectories of an earlier dataset in it are
-    removed, other files stay.
+    The repository is created if it does not exist. Trajectories of an earlier dataset in it are
+    removed; other files stay.
 
     Args:
-        dataset: all of it is read first.
+        dataset: the dataset, all of which is read first.
         repo: `OWNER/NAME`.
-        licence: an identifier of the Hub, such as `cc-by-4.0`.
+        licence: a licence identifier of the Hub, such as `cc-by-4.0`.
         private: whether a new repository is private.
 
     Raises:
-        DatasetError: it holds published human demonstrations, or nothing; a trajectory is damaged;
-            the Hub refuses it or cannot be reached.
+        DatasetError: the dataset contains published human demonstrations, or is empty; a trajectory
+            is damaged; the Hub refuses the upload or cannot be reached.
         MissingDependencyError: `huggingface_hub` is not installed.
     """
     require("hub")
@@ -46,7 +46,7 @@ def push(dataset: Dataset, repo: str, licence: str, *, private: bool = False) ->
 
     _require_publishable(dataset)
     files: dict[str, bytes | Path] = {CARD: card(dataset, repo, licence).encode()}
-    files[NAME] = new_text(list(dataset.entries)).encode()  # which may be some of the folder's
+    files[NAME] = new_text(list(dataset.entries)).encode()  # `dataset` may be a subset
     for entry in dataset.entries:
         files[entry.file] = dataset.path / entry.file
     with _hub_errors(repo):
@@ -67,7 +67,7 @@ def push(dataset: Dataset, repo: str, licence: str, *, private: bool = False) ->
 
 
 def pull(repo: str, out: Path | str, revision: str | None = None) -> Dataset:
-    """Download a dataset; it is complete, and every file has its checksum, or nothing remains.
+    """Download a dataset completely and verify every checksum; on failure nothing remains.
 
     Args:
         repo: `OWNER/NAME`.
@@ -102,7 +102,7 @@ def pull(repo: str, out: Path | str, revision: str | None = None) -> Dataset:
         dataset = Dataset.open(folder)
         for entry in dataset.entries:
             dataset.read(entry)
-        shutil.rmtree(folder / ".cache", ignore_errors=True)  # the Hub client's own
+        shutil.rmtree(folder / ".cache", ignore_errors=True)  # the Hub client's cache
         folder.rename(out)
     return Dataset(out, dataset.entries)
 
@@ -122,7 +122,7 @@ def _require_publishable(dataset: Dataset) -> None:
 
 
 def card(dataset: Dataset, repo: str, licence: str) -> str:
-    """The dataset card: what is in it, and how, when and with what it was recorded."""
+    """The dataset card: the contents, and how, when and with what they were recorded."""
     summaries = summarise_dataset(dataset)
     facts = "\n".join(f"- {name}: {value}" for name, value in _provenance(dataset).items())
     names = ("environment", "demonstrations", "steps", "mean score", "labels", "by")
@@ -165,7 +165,7 @@ def _row(summary: DatasetSummary) -> tuple[object, ...]:
 
 
 def _provenance(dataset: Dataset) -> dict[str, str]:
-    """What the trajectories' metadata say of their recording; only what they have."""
+    """Facts about the recording from the trajectories' metadata, leaving out unknown ones."""
     records = [dict(trajectory.metadata) for trajectory in dataset]
     dates = sorted(str(record["recorded"])[:10] for record in records if "recorded" in record)
     versions = [v for record in records if isinstance(v := record.get("versions"), dict)]
@@ -188,7 +188,7 @@ def _values(records: Iterable[dict[str, Any]], name: str) -> str:
 
 @contextmanager
 def _hub_errors(repo: str) -> Iterator[None]:
-    """Errors of the Hub and of the connection become a `DatasetError` that names the repository."""
+    """Turn Hub and connection errors into a `DatasetError` that names the repository."""
     from huggingface_hub.errors import (  # type: ignore[attr-defined]  # HTTPError is httpx's
         HfHubHTTPError,
         HFValidationError,

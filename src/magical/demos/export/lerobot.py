@@ -2,8 +2,8 @@
 
 The layout follows the format's documentation and its reference writer: `meta/info.json`,
 `meta/stats.json`, `meta/tasks.parquet`, `meta/episodes/`, `data/`, `videos/<camera>/`. Episodes are
-concatenated into large files; `meta/episodes` has the position of each. Needs the `lerobot` extra:
-LeRobot's own writer would need LeRobot, and with it PyTorch and a hundred other distributions.
+concatenated into large files; `meta/episodes` has the position of each. Needs the `lerobot` extra.
+LeRobot's own writer is not used: it would require LeRobot, PyTorch and a hundred other packages.
 """
 
 import json
@@ -31,7 +31,7 @@ from magical.scene.poses import FINGERS, ROBOT
 
 VERSION = "v3.0"
 FILES_PER_CHUNK = 1000
-FRAMES_PER_FILE = 50_000  # at which the next files are started
+FRAMES_PER_FILE = 50_000  # after which new files are started
 FPS = int(CONTROL_RATE)
 CAMERAS = {view: f"observation.images.{view}" for view in VIEWS}
 _FILE = "chunk-{chunk_index:03d}/file-{file_index:03d}"
@@ -69,21 +69,22 @@ def export_lerobot(
 ) -> int:
     """Write the dataset into a new folder; returns the number of frames, one for each action.
 
-    Features: both cameras at 96 x 96 (H.264, slightly lossy), `action` (int64, 0 to 17, or
-    of continuous ones drive, turn and grip, float32 from -1 to 1), `next.done`, and where all poses
-    are known `observation.state` (robot pose and finger angles).
-    `action` is the one to imitate; where some trajectory has others that were executed, those are
-    `executed_action`. Where a policy acted in some steps, `is_demonstrated` is false there.
+    Features: both cameras at 96 x 96 (H.264, slightly lossy), `action` (int64 from 0 to 17; if
+    continuous, drive, turn and grip as float32 from -1 to 1), `next.done`, and, if all poses are
+    known, `observation.state` (robot pose and finger angles).
+    `action` is the one to imitate; if any trajectory has `expert_actions`, the executed actions are
+    in `executed_action`. If any has `actors`, `is_demonstrated` is false in the steps to leave out.
     Scores, demonstrator and environment id are columns of `meta/episodes`.
 
     Args:
         dataset: the trajectories.
-        folder: a new one.
-        action_space: of the exported actions; by default the dataset's, continuous where some are.
-        instruction: each episode's task, as `MagicalEnv` takes it: "attributes" or "task".
+        folder: the folder to create.
+        action_space: kind of the exported actions (default: continuous if any in the dataset are).
+        instruction: kind of instruction, as in `MagicalEnv`, that becomes each episode's task:
+            "attributes" or "task".
 
     Raises:
-        TrajectoryError: continuous actions that are no discrete ones, where those are asked for.
+        TrajectoryError: discrete actions are requested, but some actions are not among the 18.
         DatasetError: the folder exists, the dataset is empty or a trajectory is damaged; no partial
             export remains.
     """
@@ -104,7 +105,7 @@ def export_lerobot(
 
 
 class _Writer:
-    """An export: its open files, one table and one video for each camera, and its metadata."""
+    """An export: its open files (a table, and a video for each camera) and its metadata."""
 
     def __init__(
         self, root: Path, dataset: Dataset, action_space: ActionSpaceName | None, attributes: bool
@@ -123,7 +124,7 @@ class _Writer:
         self._file = -1
 
     def _start_files(self, schema: Any) -> None:
-        """Close the files, and start the next ones."""
+        """Close the open files and start the next ones."""
         self.files.close()
         self._file += 1
         self._frames_in_file = 0
@@ -173,7 +174,7 @@ class _Writer:
             (meta / f"{name}.json").write_text(json.dumps(content, indent=4) + "\n")
 
     def _stats(self, episodes: slice) -> dict[str, Stats]:
-        """The statistics of each feature in some episodes together."""
+        """The statistics of each feature over a range of episodes."""
         parts = self._columns[episodes]
         columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
         frames = {camera: sum(levels[episodes]) for camera, levels in self._levels.items()}
@@ -267,7 +268,7 @@ def _levels(frames: NDArray[np.uint8]) -> NDArray[np.int64]:
 
 
 def _frame_stats(counts: NDArray[np.int64]) -> Stats:
-    """The statistics of frames by the counts of their levels (3, 256), scaled to [0, 1]."""
+    """The statistics of frames, scaled to [0, 1], from the counts of their levels (3, 256)."""
     levels = np.arange(256) / 255.0
     share = counts / counts.sum(1, keepdims=True)
     mean = share @ levels
@@ -290,7 +291,7 @@ def _column_stats(column: NDArray[Any]) -> Stats:
 
 
 def _exported(actions: Actions) -> NDArray[Any]:
-    """Continuous actions as float32, which LeRobot's policies take."""
+    """Continuous actions as float32, which LeRobot's policies expect; others unchanged."""
     return actions.astype(np.float32) if actions.dtype.kind == "f" else actions
 
 
@@ -308,7 +309,7 @@ def _arrow(column: NDArray[Any]) -> Any:
 
 
 def _task_table(tasks: list[str]) -> Any:
-    """The tasks in the layout of a pandas data frame with them as index, which readers expect."""
+    """The tasks in the layout of a pandas data frame indexed by task, which readers expect."""
 
     def column(name: str, pandas_type: str, numpy_type: str) -> dict[str, Any]:
         types = {"pandas_type": pandas_type, "numpy_type": numpy_type}

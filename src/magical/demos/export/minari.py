@@ -42,19 +42,19 @@ def export_minari(
     """Write Minari datasets `magical/<Task>-<Variant>-<preset>/<name>-v0`; returns their ids.
 
     Observations are the preset's, as the environment returned them, in HDF5 with
-    `jpeg_encoding=False`. Actions are those that were executed; where the trajectory has others to
-    imitate, the info beside observation t has the one of step t as `expert_action`, -1 at the end
-    (NaN, of continuous actions).
-    Rewards are 0; the last info of an episode has both scores, and its metadata the demonstrator.
-    `root` is Minari's folder of datasets (default: Minari's own). `action_space` is that of the
-    exported actions, by default each environment's own in the dataset, continuous where some are.
+    `jpeg_encoding=False`. Actions are the executed ones. If a trajectory has `expert_actions`, the
+    info of observation t has the one of step t as `expert_action`, and the last info -1, or NaN for
+    continuous actions; if it has `actors`, the infos have `is_demonstrated`.
+    Rewards are 0; an episode's last info has the known scores, and its metadata the demonstrator.
+    `root` is Minari's dataset folder (default: Minari's own). `action_space` is the kind of the
+    exported actions (default: for each environment, continuous if any of its actions are).
 
     Raises:
-        UnknownNameError: an unknown preset.
+        UnknownNameError: there is no such preset or action space.
         DatasetError: the name is invalid, a dataset of that name exists, the dataset is empty or a
             trajectory is damaged; nothing is written then.
-        TrajectoryError: a recording of frames lacks those of the preset, or continuous actions are
-            no discrete ones, where those are asked for.
+        TrajectoryError: a recording of frames lacks those of the preset, or discrete actions are
+            requested, but some actions are not among the 18.
     """
     if preset not in PRESETS:
         raise UnknownNameError(f"preset: expected one of {', '.join(PRESETS)}, found {preset!r}")
@@ -74,7 +74,7 @@ def export_minari(
 
 
 def _env_spec(env_id: EnvId, part: Dataset, actions: ActionSpec) -> Any:
-    """The environment's specification, with the horizon of the episodes where all share one."""
+    """The environment's specification, with the episodes' length as its horizon if all share it."""
     spec = copy.deepcopy(gym.spec(env_id))
     if actions is not DISCRETE:
         spec.kwargs["action_space"] = actions.name
@@ -86,7 +86,7 @@ def _env_spec(env_id: EnvId, part: Dataset, actions: ActionSpec) -> Any:
 
 def _create(minari_id: str, spec: Any, part: Dataset, preset: str, actions: ActionSpec) -> None:
     with warnings.catch_warnings():
-        # Minari warns of every missing author and link; those are for the dataset's owner to add.
+        # Minari warns about each missing author and link; adding them is up to the dataset's owner.
         warnings.filterwarnings(
             "ignore", message=r"`(author|author_email|code_permalink|eval_env)` is set"
         )
@@ -120,7 +120,7 @@ def _buffers(part: Dataset, preset: str, actions: ActionSpec) -> Iterator[Any]:
         steps = len(trajectory)
         yield EpisodeBuffer(
             id=index,
-            seed=trajectory.seed if (trajectory.seed or 0) < 1 << 63 else None,  # as HDF5 has it
+            seed=trajectory.seed if (trajectory.seed or 0) < 1 << 63 else None,  # HDF5: int64
             observations=observations(trajectory, preset),
             actions=trajectory.actions.astype(actions.space.dtype),
             rewards=[0.0] * steps,
@@ -131,7 +131,7 @@ def _buffers(part: Dataset, preset: str, actions: ActionSpec) -> Iterator[Any]:
 
 
 def _infos(trajectory: Trajectory) -> dict[str, Any]:
-    """The scores as the environment's `info` gives them, 0.0 before the last step, and labels."""
+    """The scores as in the environment's `info`, 0.0 before the last step; and the labels."""
     scores = {"published_code_score": trajectory.published_code_score}
     if trajectory.score is not None:
         scores["eval_score"] = trajectory.score
@@ -147,9 +147,9 @@ def _infos(trajectory: Trajectory) -> dict[str, Any]:
 
 @contextmanager
 def _moved_when_complete(minari_ids: list[str], root: Path | None) -> Iterator[None]:
-    """Let Minari write into a temporary folder, and move the complete datasets to their own."""
+    """Let Minari write to a temporary folder, then move the complete datasets to their targets."""
     with _minari_root(root):
-        # Minari writes a relative path's parts below themselves.
+        # Minari would nest a relative path inside itself.
         home = Path(get_dataset_path()).resolve()
         for target in (home / minari_id for minari_id in minari_ids):
             if target.exists():
@@ -167,7 +167,7 @@ def _moved_when_complete(minari_ids: list[str], root: Path | None) -> Iterator[N
 
 @contextmanager
 def _minari_root(root: Path | None) -> Iterator[None]:
-    """Set Minari's folder of datasets, an environment variable that it reads at every call."""
+    """Set Minari's dataset folder, through an environment variable that it reads at every call."""
     before = os.environ.get(_ROOT)
     if root is not None:
         os.environ[_ROOT] = str(root)

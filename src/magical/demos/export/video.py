@@ -20,9 +20,9 @@ from magical.messages import printable
 from magical.scene import Poses
 from magical.scene.constants import CONTROL_RATE, FRAME_SIZE, RAW_FRAME_SIZE
 
-SIZE = RAW_FRAME_SIZE  # pixels across of each view
+SIZE = RAW_FRAME_SIZE  # pixels across each view
 BANNER = 32  # pixels high, above the frames
-MAX_WEBP_FRAMES = 2000  # of about 1 MB each, all in memory
+MAX_WEBP_FRAMES = 2000  # about 1 MB each, all in memory
 LAST_FRAME_REPEATS = 12  # of the final frame of a demonstration
 SUFFIXES = (".mp4", ".webp")
 _BACKGROUND, _TEXT = (255, 255, 255), (60, 60, 70)
@@ -36,9 +36,9 @@ def write_video(trajectories: Iterable[Trajectory], path: Path | str) -> int:
     The suffix chooses the format: `.mp4` (H.264, needs the `video` extra) or `.webp` (animated).
 
     Raises:
-        UnknownNameError: the suffix is another one.
+        UnknownNameError: the suffix is neither.
         MissingDependencyError: the extra is not installed.
-        DatasetError: no trajectories, or more than `MAX_WEBP_FRAMES` frames for `.webp`.
+        DatasetError: there are no trajectories, or more than `MAX_WEBP_FRAMES` frames for `.webp`.
         OSError: the file cannot be written; no partial file remains.
     """
     target = Path(path)
@@ -55,9 +55,9 @@ def write_video(trajectories: Iterable[Trajectory], path: Path | str) -> int:
 
 
 def video_frames(trajectory: Trajectory) -> Iterator[Image]:
-    """The frames of one demonstration, (BANNER + SIZE, 2 * SIZE, 3) uint8.
+    """The frames of one demonstration, (BANNER + SIZE, SIZE * number of views, 3) uint8.
 
-    With poses, both views are rendered at this size with the score at each time step; recorded
+    With poses, both views are rendered at this size, with the score at each time step. Recorded
     frames are enlarged, and only the final score is known.
     """
     known = VIEWS if trajectory.frames is None else trajectory.frames
@@ -96,12 +96,12 @@ def _score(trajectory: Trajectory, time: int) -> str:
 
 
 class Mp4Writer:
-    """An MP4 in H.264 that is being written; frame k has the timestamp k / rate seconds."""
+    """Writes an MP4 file in H.264; frame k has the timestamp k / rate seconds."""
 
     def __init__(
         self, file: Path | IO[bytes], rate: float, pixel_format: str, options: Mapping[str, str]
     ) -> None:
-        """`options` are those of the encoder libx264."""
+        """`options` are passed to the encoder libx264."""
         import av
 
         self._container = av.open(file, "w", format="mp4")
@@ -111,7 +111,7 @@ class Mp4Writer:
         self.count = 0
 
     def write(self, image: Image) -> None:
-        """Append a frame (H, W, 3) uint8; all are of the first one's size."""
+        """Append a frame (H, W, 3) uint8; all must have the size of the first."""
         from av import VideoFrame
 
         if not self.count:

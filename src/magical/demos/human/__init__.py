@@ -1,1 +1,1 @@
-"""The published human demonstrations: fetched, read safely, and imported into a dataset."""
+"""The published human demonstrations: downloading, safe reading, and import into a dataset."""

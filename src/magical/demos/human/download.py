@@ -1,7 +1,7 @@
 """Fetching the published archive over HTTPS, file by file, verified and resumable.
 
-The server is not trusted: redirects, sizes and the rate of transfer are bounded, and only files
-with the published SHA-256 sums are returned.
+The server is not trusted: redirects, sizes and transfer times are limited, and only files with the
+published SHA-256 sums are returned.
 """
 
 import re
@@ -26,9 +26,9 @@ from magical.messages import printable, quoted
 # The repository at the commit whose sums are in data/human-demos.sha256.
 COMMIT = "42eb21c4bd6c0e2262ccc2fc00ef2a36b10b6a5a"
 BASE_URL = f"https://raw.githubusercontent.com/qxcv/magical-data/{COMMIT}"
-MAX_BYTES = 64 << 20  # of one file; the largest has 2.5 MB
-TIMEOUT = 30.0  # s, to connect, and for an answer beyond its transfer time
-MIN_RATE = 5000.0  # bytes per second, below which an attempt is given up
+MAX_BYTES = 64 << 20  # per file; the largest is 2.5 MB
+TIMEOUT = 30.0  # s: to connect, and for a response in addition to its transfer time
+MIN_RATE = 5000.0  # bytes per second; slower attempts are abandoned
 ATTEMPTS = 3
 _CHUNK = 1 << 16
 _ADDRESS = re.compile(
@@ -39,7 +39,7 @@ _INTERRUPTIONS = (ConnectionError, TimeoutError, ValueError, HTTPException, SSLE
 
 
 class Download(NamedTuple):
-    """Verified files by their published paths, and an error for every file not fetched."""
+    """Verified files by published path, and an error for each file that could not be fetched."""
 
     files: dict[str, Path]
     errors: list[str]
@@ -51,19 +51,19 @@ def fetch_all(
     base_url: str = BASE_URL,
     progress: Callable[[int], None] | None = None,
 ) -> Download:
-    """Fetch every file of `sums` (path: SHA-256) into `folder`; verified ones there are kept.
+    """Fetch every file in `sums` into `folder`, except those already there with the right sum.
 
-    A partial file is resumed where the server supports it. Files get their final names only when
-    their sums are right.
+    A partial file is resumed if the server supports it. Files get their final names only once
+    their sums match.
 
     Args:
-        sums: SHA-256 sums of the files by their paths below `base_url` and `folder`.
-        folder: where they are kept.
+        sums: SHA-256 sums of the files, by path relative to `base_url` and `folder`.
+        folder: where the files are stored.
         base_url: an http or https address.
         progress: called with 1 after every file.
 
     Raises:
-        DownloadError: no server answers, or `base_url` is not a valid address.
+        DownloadError: the server does not answer, or `base_url` is not a valid address.
         OSError: the folder cannot be written.
     """
     if not _is_address(base_url) or set(base_url) & set("?#"):
@@ -86,13 +86,13 @@ def fetch_all(
 
 
 def _fetch(url: str, target: Path, digest: str) -> str | None:
-    """Fetch one file in several attempts, each of which resumes the one before.
+    """Fetch one file in up to `ATTEMPTS` attempts, each of which resumes the previous one.
 
     Returns:
-        Why it could not be fetched, or `None`.
+        The reason why it could not be fetched, or `None`.
 
     Raises:
-        DownloadError: no server answers.
+        DownloadError: the server does not answer.
     """
     target.parent.mkdir(parents=True, exist_ok=True)
     part = target.with_name(f"{target.name}.part")
@@ -128,9 +128,11 @@ def _resume(url: str, part: Path) -> None:
     """Append the rest of a file to its partial file, or fetch all of it.
 
     Raises:
-        DownloadError: it is larger than `MAX_BYTES`, or is redirected to another scheme.
-        TimeoutError: it comes slower than `MIN_RATE`.
-        ValueError, OSError: the server does not answer, or not as a server should.
+        DownloadError: the file is larger than `MAX_BYTES`, or the address it is redirected to is
+            not allowed.
+        TimeoutError: the transfer is slower than `MIN_RATE`.
+        ValueError, OSError, HTTPException: the server does not answer, or its response is invalid
+            or incomplete.
     """
     have = part.stat().st_size if part.exists() else 0
     request = urllib.request.Request(url, headers={"Range": f"bytes={have}-"} if have else {})
@@ -149,7 +151,7 @@ def _resume(url: str, part: Path) -> None:
 
 
 def _is_address(url: str) -> bool:
-    """Whether this is an http or https address with a host and nothing to be escaped."""
+    """Whether this is an http or https address with a host and nothing that needs escaping."""
     try:
         return bool(_ADDRESS.fullmatch(url)) and urllib.parse.urlsplit(url).port != 0
     except ValueError:
@@ -157,9 +159,9 @@ def _is_address(url: str) -> bool:
 
 
 class _Timed(RawIOBase):
-    """What a server sends: all of it within `TIMEOUT`, and the time that it takes at `MIN_RATE`.
+    """A server's response, which must arrive within `TIMEOUT` plus its transfer time at `MIN_RATE`.
 
-    The timeout of a socket alone starts again with every byte.
+    A socket's own timeout restarts with every byte.
     """
 
     def __init__(self, connected: socket, data: RawIOBase) -> None:
@@ -207,7 +209,7 @@ class _Handler(urllib.request.HTTPSHandler, urllib.request.HTTPHandler):
 
 
 class _Redirects(urllib.request.HTTPRedirectHandler):
-    """Follows redirects, a few, that do not leave HTTPS."""
+    """Follows a limited number of redirects, and none that leave HTTPS."""
 
     def redirect_request(
         self,
@@ -218,7 +220,7 @@ class _Redirects(urllib.request.HTTPRedirectHandler):
         headers: Any,
         newurl: str,
     ) -> urllib.request.Request | None:
-        """The request to follow; raises `DownloadError`."""
+        """The request to follow; raises `DownloadError` if the new address is not allowed."""
         fp.close()  # the standard handler reads the body without a bound
         if not newurl.startswith(("https://", f"{req.type}://")) or not _is_address(newurl):
             raise DownloadError(f"expected a redirect to https://, found {quoted(newurl)}")

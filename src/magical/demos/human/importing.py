@@ -17,17 +17,17 @@ from magical.messages import printable
 from magical.processes import checked_workers, outcomes_in_processes
 
 SUFFIX = ".pkl.gz"
-# What imported trajectories hold; frames in any case where poses cannot be recovered.
+# What imported trajectories contain; always frames if the poses cannot be recovered.
 Contents = Literal["poses", "both", "frames"]
 
 
 @dataclass(slots=True)
 class ImportReport:
-    """Names of the files, by outcome of the import."""
+    """Names of the files, grouped by the outcome of their import."""
 
     imported: list[str] = field(default_factory=list)
-    already: list[str] = field(default_factory=list)  # in the dataset before
-    # (file, earlier one with the same actions and frames)
+    already: list[str] = field(default_factory=list)  # already in the dataset
+    # (file, earlier file with the same actions and poses or frames)
     duplicates: list[tuple[str, str]] = field(default_factory=list)
     failed: list[tuple[str, str]] = field(default_factory=list)  # (file, reason)
     # (imported file, why it keeps its frames)
@@ -35,7 +35,7 @@ class ImportReport:
 
 
 def find_published(source: Path) -> list[Path]:
-    """The published files in a folder and its subfolders, or the one file.
+    """The published files in a folder and its subfolders, or `source` itself if it is a file.
 
     Raises:
         DatasetError: there are none.
@@ -55,20 +55,20 @@ def import_published(
     skip_duplicates: bool = False,
     progress: Callable[[int], None] = lambda _: None,
 ) -> ImportReport:
-    """Append published files to a dataset, in their order; a bad file does not stop the others.
+    """Append published files to a dataset, in order; a bad file does not stop the others.
 
     Files that are already in the dataset are skipped.
 
     Args:
         files: the published files.
-        out: the dataset, created if there is none.
+        out: the dataset's folder, created if it does not exist.
         keep: what to keep of each demonstration.
-        workers: processes; by default one for each core.
-        skip_duplicates: leave out files with the actions and frames of an earlier one.
-        progress: called with the number of files that were finished since it was last called.
+        workers: number of processes (default: one per core).
+        skip_duplicates: skip files with the same actions and poses or frames as an earlier one.
+        progress: called with the number of files finished since the last call.
 
     Raises:
-        DatasetError: the dataset cannot be written; what was imported before stays.
+        DatasetError: the dataset cannot be written; what was already imported stays.
     """
     writer, entries = DatasetWriter(out), Dataset.open(out).entries
     known = {(entry.source, entry.source_sha256) for entry in entries}
@@ -97,7 +97,7 @@ def import_published(
 def _is_copy(
     entry: ManifestEntry, file: Path, first: dict[str, str], copies: list[tuple[str, str]]
 ) -> bool:
-    """Note whether an earlier file, perhaps of the same name, has the actions and frames of one."""
+    """Whether an earlier file, perhaps of the same name, is equal; notes it in `copies`."""
     if earlier := first.get(entry.fingerprint):
         copies.append((str(file) if earlier == file.name else file.name, earlier))
         return True
@@ -106,13 +106,13 @@ def _is_copy(
 
 
 def _convert(file: Path, keep: Contents) -> tuple[ManifestEntry, bytes, str | None]:
-    """One file as an encoded trajectory, and why that has no poses where they were wanted."""
+    """One file as an encoded trajectory, and the reason if its poses could not be recovered."""
     demonstration = read_demonstration(file)
     with naming_errors(file):
         if keep == "frames":
             trajectory = demonstration.trajectory()
         else:
-            # Imports numba, which only the recovery needs.
+            # This imports numba, which only the recovery needs.
             from magical.demos.human.recovery.recovery import recovered_trajectory
 
             trajectory = recovered_trajectory(demonstration, keep_frames=keep == "both")
@@ -120,7 +120,7 @@ def _convert(file: Path, keep: Contents) -> tuple[ManifestEntry, bytes, str | No
 
 
 def _reason(file: Path, error: Exception) -> str:
-    """Why a file failed, with its name; little of a text that may be the file's."""
+    """Why a file failed, with its name; text that may come from the file is cut and escaped."""
     name = printable(str(file), MAX_PATH)
     known = isinstance(error, MagicalError) and not isinstance(error, WorkerError)
     reason = str(error) if known else printable(f"{type(error).__name__}: {error}")

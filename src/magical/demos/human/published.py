@@ -43,7 +43,7 @@ class PublishedDemonstration:
     actions: Actions
     score: float
     source: Mapping[str, str]
-    packed: Mapping[View, list[NDArray[np.uint8]]]  # T + 1 frames a view
+    packed: Mapping[View, list[NDArray[np.uint8]]]  # T + 1 frames per view
 
     def frames(self, time: int) -> dict[View, NDArray[np.uint8]]:
         """The frames (384, 384, 3) at time step `time`, 0 to T, in both views."""
@@ -70,12 +70,12 @@ class PublishedDemonstration:
 
 
 def read_demonstration(path: Path) -> PublishedDemonstration:
-    """Read one published file. It takes little memory, however large the file is.
+    """Read one published file, using little memory however large the file is.
 
     Raises:
-        UnsafeFileError: it is not a regular file, is damaged, unpacks to more than `MAX_UNPACKED`
-            bytes, or holds anything but a demonstration's plain data.
-        TrajectoryError: its arrays do not fit together.
+        UnsafeFileError: the file cannot be read, is not a regular file, is damaged, unpacks to more
+            than `MAX_UNPACKED` bytes, or contains anything other than plain data.
+        TrajectoryError: its contents are not a valid demonstration in a Demo environment.
     """
     with naming_errors(path):
         source = sha256_sum(path, follow_links=True)
@@ -86,7 +86,7 @@ def read_demonstration(path: Path) -> PublishedDemonstration:
 
 @contextmanager
 def naming_errors(path: Path) -> Iterator[None]:
-    """Errors in the block become errors that name the file."""
+    """Turn errors in the block into errors that name the file."""
     name = printable(str(path), MAX_PATH)
     try:
         yield
@@ -102,10 +102,10 @@ def naming_errors(path: Path) -> Iterator[None]:
 
 
 def pack(array: NDArray[Any]) -> NDArray[Any]:
-    """A published frame (384, 384, 3) uint8, compressed; actions unchanged.
+    """Compress a published frame (384, 384, 3) uint8; actions are returned unchanged.
 
     Raises:
-        UnsafeFileError: any other array.
+        UnsafeFileError: the array is neither a frame nor actions.
     """
     if array.ndim == 1 and array.dtype.kind in "if":
         return array
@@ -122,7 +122,7 @@ def unpack(packed: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def average(frame: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """A frame (384, 384, 3) averaged 4 x 4 to (96, 96, 3), halves to even."""
+    """A frame (384, 384, 3) averaged 4 x 4 to (96, 96, 3), with halves rounded to even."""
     rows = frame.reshape(FRAME_SIZE, BINNING, -1).sum(axis=1, dtype=np.uint16)
     parts = rows.reshape(FRAME_SIZE, FRAME_SIZE, BINNING, 3)
     total = parts[:, :, 0] + parts[:, :, 1] + parts[:, :, 2] + parts[:, :, 3]
@@ -163,7 +163,7 @@ def _frame(observation: Any, view: str) -> NDArray[np.uint8]:
 
 
 def file_sum(path: Path, *, follow_links: bool = False) -> str:
-    """The SHA-256 of a file; empty if there is none, or it cannot be read."""
+    """The SHA-256 sum of a file; empty if the file does not exist or cannot be read."""
     try:
         return sha256_sum(path, follow_links=follow_links)
     except OSError:
@@ -172,7 +172,7 @@ def file_sum(path: Path, *, follow_links: bool = False) -> str:
 
 @cache
 def published_sums() -> Mapping[str, str]:
-    """SHA-256 of the 203 published files by their path in the repository qxcv/magical-data."""
+    """SHA-256 sums of the 203 published files, by path in the repository qxcv/magical-data."""
     text = (files("magical.demos.human") / "data" / "human-demos.sha256").read_text()
     lines = (line.split(maxsplit=1) for line in text.splitlines())
     return {path: digest for digest, path in lines}

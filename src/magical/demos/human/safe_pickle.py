@@ -2,11 +2,11 @@
 
 A pickle is a program for a small stack machine whose opcodes may import and call anything. The
 machine here implements only the opcodes that build plain data. The five global names in the
-published files are tokens to it: "calling" one checks its arguments and builds a value of this
-module; any other name is refused. Nothing that a pickle names is looked up, imported or called.
+published files are represented by tokens: "calling" one checks its arguments and builds a value of
+this module; any other name is refused. Nothing named in a pickle is looked up, imported or called.
 
-What the machine builds may be nested without bound, or share parts without bound, so values are
-never hashed, compared or printed before their type is checked.
+The values that the machine builds may be nested or share parts without limit, so they are never
+hashed, compared or printed before their type is checked.
 """
 
 import math
@@ -22,11 +22,11 @@ from magical.errors import UnsafeFileError
 from magical.messages import printable, quoted
 
 # Bounds far above what the largest published file needs: 17,500 opcodes, items of 442,368 bytes,
-# and next to no bytes that do not become part of an array at once.
+# and almost no bytes that do not become part of an array at once.
 MAX_UNPACKED = 512 << 20  # bytes; the largest published file unpacks to 213 MB
 MAX_OPCODES = 200_000
 MAX_ITEM = 1 << 20  # bytes of one string, array or line
-MAX_HELD = 16 << 20  # bytes of strings and byte strings in memory at one time
+MAX_HELD = 16 << 20  # bytes of strings and byte strings in memory at any time
 MAX_KEPT = 64 << 20  # bytes of arrays after `reduce`
 MAX_SIZE = 1 << 31  # of one dimension of an array
 
@@ -49,7 +49,7 @@ RECONSTRUCT = Name("numpy.core.multiarray", "_reconstruct")
 ORDERED_DICT = Name("collections", "OrderedDict")
 RECORD = Name("milbench.baselines.saved_trajectories", "MILBenchTrajectory")
 ALLOWED = {name: name for name in (DTYPE, NDARRAY, RECONSTRUCT, ORDERED_DICT, RECORD)}
-BYTE_ORDERS = {"u1": "|", "i8": "<", "f8": "<", "f4": "<"}  # by the codes of data types
+BYTE_ORDERS = {"u1": "|", "i8": "<", "f8": "<", "f4": "<"}  # by data type code
 
 
 class PublishedRecord(NamedTuple):
@@ -68,11 +68,11 @@ class Array:
 
 
 class _Reader:
-    """The file that pickletools reads from, with bounds on its size and that of one item."""
+    """The file that pickletools reads from, with limits on its size and on the size of an item."""
 
     def __init__(self, file: IO[bytes] | GzipFile) -> None:
         self._file = file
-        self._position = 0  # counted here: a `GzipFile` takes long to say it
+        self._position = 0  # counted here: `GzipFile.tell` is slow
 
     def read(self, size: int) -> bytes:
         if size > MAX_ITEM:
@@ -95,12 +95,12 @@ class _Reader:
 
 
 def load(file: IO[bytes] | GzipFile, reduce: Reduce) -> Any:
-    """The data of a pickle: plain data, `Array`, `PublishedRecord`.
+    """Load the data of a pickle: plain values, `Array` and `PublishedRecord`.
 
     `reduce` is applied to every array as it is read, so that large ones need not be kept.
 
     Raises:
-        UnsafeFileError: anything else is in it, it is larger than `MAX_UNPACKED` or damaged.
+        UnsafeFileError: the pickle contains anything else, exceeds a limit, or is damaged.
     """
     machine, reader = _Machine(reduce), _Reader(file)
     doing = "damaged"
@@ -124,7 +124,7 @@ def load(file: IO[bytes] | GzipFile, reduce: Reduce) -> Any:
 
 
 class _Machine:
-    """The stack, the marks on it, and the memo."""
+    """The stack machine: its stack, the marks on it, and its memo."""
 
     def __init__(self, reduce: Reduce) -> None:
         self._reduce = reduce
@@ -141,7 +141,7 @@ class _Machine:
         _ACTIONS[opcode](self, argument)
 
     def result(self) -> Any:
-        """The one value on the stack at the end."""
+        """The single value that is left on the stack."""
         if len(self._stack) != 1 or self._marks:
             raise ValueError(f"{len(self._stack)} values left, expected 1")
         return self._stack[0]
@@ -250,7 +250,7 @@ class _Machine:
 
 
 def _is_plain(dtype: "np.dtype[Any]", state: tuple[Any, ...]) -> bool:
-    """Whether a pickled state is that of a plain data type of the expected byte order."""
+    """Whether a pickled state describes a plain data type with the expected byte order."""
     if len(state) < 5 or type(state[1]) is not str or state[1] != dtype.str[0]:
         return False
     return all(value is None for value in state[2:5])

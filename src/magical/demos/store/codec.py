@@ -1,10 +1,10 @@
-"""The file format of a trajectory: an .npz archive, plain arrays that NumPy reads without pickle.
+"""The file format of a trajectory: an .npz archive of arrays that NumPy reads without pickle.
 
 Members: `header` (JSON as uint8), `actions` (T,) uint8, and `poses` (T + 1, 5 + blocks, 3) float64
 or `frames_allo` and `frames_ego` (T + 1, 96, 96, 3) uint8, or all of them; and `expert_actions`,
-`actors` and `policy_actions` (T,) uint8 where the trajectory has them. Continuous actions are
+`actors` and `policy_actions` (T,) uint8 if the trajectory has them. Continuous actions are
 (T, 3) float64. Deflate already exploits the repeated rows of blocks at rest and the similarity of
-successive frames: filters in front of it saved nothing.
+successive frames: filtering the data first saved nothing.
 """
 
 import hashlib
@@ -33,14 +33,14 @@ MAX_UNPACKED = 512 << 20  # bytes of all members together
 MAX_HEADER = 1 << 20  # bytes of JSON
 MAX_UNKNOWN = 1000  # characters of a message that lists the known names
 MAX_STEPS = 1 << 20  # actions of one trajectory: 36 hours at 8 Hz
-MAX_FILE = MAX_UNPACKED + (1 << 20)  # bytes: what cannot be compressed, and the archive's own
+MAX_FILE = MAX_UNPACKED + (1 << 20)  # bytes: incompressible data, and the archive's overhead
 _FIELDS = ("env_id", "seed", "score", "published_code_score", "demonstrator", "metadata")
 
 
 class _Member(NamedTuple):
     dtype: str
     trailing: tuple[int | None, ...]  # sizes after the first; None: any
-    more_rows: int | None  # than there are actions; None: any number
+    more_rows: int | None  # than actions; None: any number of rows
 
 
 _BY_STEP = ("expert_actions", "actors", "policy_actions")  # a row for each action
@@ -62,9 +62,9 @@ _NPY_HEADER = re.compile(
 _MAX_NPY_HEADER = 256  # bytes; NumPy writes 118
 _END_RECORD = struct.Struct("<4s4H2LH")  # the end of a ZIP archive's directory
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
-_ZIP64_LOCATOR = 20  # bytes, before the end record where there is one
+_ZIP64_LOCATOR = 20  # bytes; if present, before the end record
 
-# What zipfile, zlib, json and the constructors raise for files that are no trajectories.
+# What zipfile, zlib, json and the constructors raise for files that are not trajectories.
 _DAMAGED = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, struct.error)
 _MALFORMED = (
     ArithmeticError,
@@ -79,7 +79,7 @@ _MALFORMED = (
 
 
 def encode(trajectory: Trajectory) -> bytes:
-    """The file's bytes; the same trajectory always gives the same.
+    """Encode a trajectory as a file's bytes; the same trajectory always gives the same bytes.
 
     Raises:
         TrajectoryError: its metadata is too large for the format.
@@ -110,7 +110,7 @@ def encode(trajectory: Trajectory) -> bytes:
 
 
 def decode(raw: bytes) -> Trajectory:
-    """The trajectory in a file's bytes, which may come from anywhere.
+    """Decode a trajectory from a file's bytes, which need not be trusted.
 
     Sizes, types and shapes are checked before anything is allocated for them.
 
@@ -134,10 +134,10 @@ def decode(raw: bytes) -> Trajectory:
 
 
 def fingerprint(raw: bytes) -> str:
-    """Identifies the actions and poses or frames of an encoded trajectory.
+    """A fingerprint of the actions and poses or frames of an encoded trajectory.
 
-    Computed from the archive's checksums, so it costs next to nothing; it finds duplicates, and is
-    no protection against forgery.
+    It is computed from the archive's checksums, so it costs almost nothing. It detects duplicates,
+    but not forgeries.
     """
     with zipfile.ZipFile(io.BytesIO(raw)) as archive:
         members = sorted((i.filename, i.CRC, i.file_size) for i in archive.infolist())
@@ -159,7 +159,7 @@ def _read_arrays(raw: bytes) -> dict[str, NDArray[Any]]:
 
 
 def _check_end_record(raw: bytes) -> None:
-    """Bound the archive's directory before `zipfile` reads all of it."""
+    """Check the size of the archive's directory before `zipfile` reads all of it."""
     end = len(raw) - _END_RECORD.size
     if end < 0:
         raise DatasetError(f"expected an .npz file, found {len(raw)} bytes")
@@ -189,7 +189,7 @@ def _check_members(infos: list[zipfile.ZipInfo]) -> dict[str, zipfile.ZipInfo]:
 
 
 def _read_array(file: IO[bytes], name: str, size: int, rows: int | None) -> NDArray[Any]:
-    """Read one .npy member of `size` bytes; `rows` is the expected first size, where known."""
+    """Read one .npy member of `size` bytes; `rows` is the expected first size, if known."""
     expected = _MEMBERS[name]
     start = file.read(len(_NPY_MAGIC) + 2)
     length = int.from_bytes(start[-2:], "little")

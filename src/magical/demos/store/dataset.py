@@ -47,7 +47,7 @@ class Dataset(Sequence[Trajectory]):
     Attributes:
         path: the dataset's folder.
         entries: one `ManifestEntry` for each trajectory.
-        problems: what `open(..., skip_damaged=True)` left out.
+        problems: the problems that `open(..., skip_damaged=True)` found.
     """
 
     def __init__(
@@ -59,7 +59,7 @@ class Dataset(Sequence[Trajectory]):
 
     @classmethod
     def open(cls, path: Path | str, *, skip_damaged: bool = False) -> "Dataset":
-        """The dataset in a folder.
+        """Open the dataset in a folder.
 
         Args:
             path: the folder.
@@ -100,7 +100,7 @@ class Dataset(Sequence[Trajectory]):
     def __getitem__(self, index: slice) -> "Dataset": ...
 
     def __getitem__(self, index: int | slice) -> "Trajectory | Dataset":
-        """One trajectory, read and checked now; or for a slice, a part of the dataset."""
+        """One trajectory, read and checked now; for a slice, part of the dataset."""
         if isinstance(index, slice):
             return Dataset(self.path, self.entries[index])
         return self.read(self.entries[index])
@@ -116,7 +116,8 @@ class Dataset(Sequence[Trajectory]):
         """Read and check the trajectory of an entry.
 
         Raises:
-            DatasetError: the file is missing, damaged or not the one in the manifest; names it.
+            DatasetError: the file, which the message names, is missing, damaged or not the one in
+                the manifest.
         """
         path = self.path / entry.file
         raw = read_file(path, entry.size)
@@ -142,20 +143,20 @@ class Dataset(Sequence[Trajectory]):
         demonstrator: str | None = None,
         min_score: float | None = None,
     ) -> "Dataset":
-        """The part of the dataset that meets all given conditions; reads no trajectory.
+        """The part of the dataset that meets all given conditions; reads no trajectories.
 
         Args:
             task: name of a task.
             variant: name of a variant, such as `TestJitter` or `Jitter`.
             env_id: environment id; a preset in it is ignored.
             demonstrator: the demonstrator's name.
-            min_score: lower bound for the appendix's score, or where poses are unknown (human
-                demonstrations) for the published code's.
+            min_score: lower bound on the appendix's score, or on the published code's if poses are
+                unknown (human demonstrations).
 
         Raises:
             UnknownNameError: there is no such task, variant or environment.
         """
-        # What is not in the dataset is no error, a misspelt name is.
+        # A name that is not in the dataset is not an error; a misspelt one is.
         if task and all(task != entry.task for entry in self.entries):
             get_task(task)
         if variant and all(variant != entry.variant for entry in self.entries):
@@ -180,7 +181,7 @@ class Dataset(Sequence[Trajectory]):
         """`count` trajectories sampled without replacement, in the dataset's order.
 
         Raises:
-            DatasetError: there are fewer.
+            DatasetError: there are fewer trajectories.
         """
         if count > len(self):
             raise DatasetError(f"{self.path}: expected {count} trajectories, found {len(self)}")
@@ -188,32 +189,32 @@ class Dataset(Sequence[Trajectory]):
         return Dataset(self.path, [self.entries[i] for i in chosen])
 
     def action_space(self) -> ActionSpaceName:
-        """The kind of actions that all trajectories can have: continuous where those of some are.
+        """The kind of actions that all trajectories can have: continuous if any have those.
 
-        Reads every trajectory, until one is continuous.
+        Reads trajectories until it finds continuous actions.
         """
         spaces = (trajectory.action_space for trajectory in self)
         return "continuous" if "continuous" in spaces else "discrete"
 
     def arrays(self, observation: Observation = "LoRes4E") -> dict[str, Any]:
-        """Every step of every trajectory, N in all, as plain arrays.
+        """All N steps of all trajectories as plain arrays.
 
         Args:
             observation: see `magical.observe.make_spec`.
 
         Returns:
-            `observations` (N, *shape), or a dict of such: the observation before each action;
-            `None` where there are no trajectories.
-            `actions` (N,) int64, or (N, 3) float64 where some are continuous: those executed.
-            `labels`, likewise: those to imitate; others only where the expert chose others.
-            `is_demonstrated` (N,) bool: false where a policy that was watched acted by itself.
+            `observations` (N, *shape), or a dict of such arrays: the observation before each
+            action; `None` if there are no trajectories.
+            `actions` (N,) int64, or (N, 3) float64 if any are continuous: the executed actions.
+            `labels`, of the same form: the actions to imitate; they may differ from those executed.
+            `is_demonstrated` (N,) bool: false if a policy acted and no expert labelled the state.
             `episodes` (N,) int64: index of the trajectory in the dataset.
             `steps` (N,) int64: index of the step in the trajectory.
             `env_ids`, `scores`, `published_code_scores`, `demonstrators`: one for each trajectory.
 
         Raises:
             DatasetError: a file is damaged.
-            ObservationError: state vectors of tasks with vectors of different lengths.
+            ObservationError: the tasks' state vectors have different lengths.
             TrajectoryError: a recording lacks what the observation needs.
             UnknownNameError: there is no such observation.
         """
@@ -232,7 +233,7 @@ class Dataset(Sequence[Trajectory]):
 
 
 def read_manifest(folder: Path) -> tuple[list[ManifestEntry], list[Problem]]:
-    """The manifest's entries, and what is wrong with it or missing in it; the caller has the lock.
+    """The manifest's entries, and its damaged or missing lines; the caller holds the lock.
 
     Raises:
         DatasetError: there is no manifest, or the trajectories' folder is a symbolic link.
@@ -254,10 +255,10 @@ def read_manifest(folder: Path) -> tuple[list[ManifestEntry], list[Problem]]:
 
 
 def stored_files(folder: Path) -> list[Path]:
-    """The paths of a dataset's trajectories, listed or not, in order of their names.
+    """The paths of a dataset's trajectory files, listed or not, sorted by name.
 
     Raises:
-        DatasetError: their folder is a symbolic link, which could leave the dataset.
+        DatasetError: their folder is a symbolic link, which could lead outside the dataset.
     """
     stored = folder / manifest.FOLDER
     if stored.is_symlink():
@@ -266,10 +267,11 @@ def stored_files(folder: Path) -> list[Path]:
 
 
 def read_file(path: Path, size: int | None = None) -> bytes:
-    """A trajectory file's bytes, `size` of them if that is known.
+    """A trajectory file's bytes; there must be `size` of them, if given.
 
     Raises:
-        DatasetError: it is missing, not a regular file, or of another size; names it.
+        DatasetError: the file, which the message names, is missing, not a regular file, or of
+            another size.
     """
     limit = MAX_FILE if size is None else size
     with reading(path, DatasetError), open_regular(path) as file:

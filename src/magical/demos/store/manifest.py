@@ -1,4 +1,4 @@
-"""The manifest of a dataset: a JSON Lines file with one line for each trajectory, append-only.
+"""The manifest of a dataset: an append-only JSON Lines file with one line for each trajectory.
 
 Every line ends with a checksum of itself and the line before it, which reveals a changed, missing
 or moved line. A manifest that was cut off at the end of a line is revealed by the trajectory files
@@ -29,7 +29,7 @@ NAME = "manifest.jsonl"
 FOLDER = "trajectories"
 HEADER = {"format": "magical-dataset", "version": 1}
 MAX_LINE = 1 << 16  # bytes; names of `MAX_NAME` characters fit
-MAX_DAMAGED_LINES = 1000  # then the rest of the manifest is not read
+MAX_DAMAGED_LINES = 1000  # after these, the rest of the manifest is not read
 _SHA256 = r"\A[0-9a-f]{64}\Z"
 _NAME = rf"\A(?s:.){{1,{MAX_NAME}}}\Z"
 _FILE_NAME = re.compile(r"\w{1,100}")  # a task or variant, as part of a file's name
@@ -44,7 +44,7 @@ class ManifestEntry:
     """One line of the manifest: the file of a trajectory, and its properties.
 
     Raises:
-        ValueError: the environment's names are unfit for a file's name, or `file` has another.
+        ValueError: the environment's names do not fit into a file name, or `file` has another name.
     """
 
     index: Annotated[int, Meta(ge=0, lt=10**9)]
@@ -101,7 +101,7 @@ class ManifestEntry:
 
     @property
     def final_score(self) -> float:
-        """The appendix's score, or where poses are unknown the published code's."""
+        """The appendix's score, or the published code's if poses are unknown."""
         return self.published_code_score if self.score is None else self.score
 
     @property
@@ -116,7 +116,7 @@ class ManifestEntry:
 
 
 def encoded(trajectory: Trajectory) -> tuple[ManifestEntry, bytes]:
-    """A trajectory's entry, and its file's bytes; raises `TrajectoryError` as `encode` does."""
+    """A trajectory's entry and its file's bytes; raises `TrajectoryError` as `encode` does."""
     raw = encode(trajectory)
     return ManifestEntry.of(trajectory, raw), raw
 
@@ -126,7 +126,7 @@ def _file(index: int, env_id: EnvId) -> str:
 
 
 def _matching(pattern: str, value: object) -> str | None:
-    """The value where it is text that matches."""
+    """The value if it is text that matches."""
     return value if isinstance(value, str) and re.search(pattern, value) else None
 
 
@@ -140,7 +140,7 @@ def new_text(entries: list[ManifestEntry]) -> str:
 
 
 def read_entries(folder: Path) -> Iterator[ManifestEntry | DatasetError]:
-    """The manifest's entries in order; for a damaged line, the error instead of the entry.
+    """The manifest's entries in order; for a damaged line, an error instead of the entry.
 
     Raises:
         DatasetError: there is no manifest, or it cannot be read.
@@ -219,7 +219,7 @@ class _ParsedLine(NamedTuple):
 
 
 def _parse(line: bytes, previous: str | None) -> _ParsedLine:
-    """Parse a line, and compare it with what is written after a line of checksum `previous`."""
+    """Parse a line, and check that it follows one with the checksum `previous`, if given."""
     try:
         text = line.decode()
         content = json.loads(text)

@@ -25,8 +25,8 @@ class Frames:
     """Single frames of one trajectory and view, rendered from poses or copied from the recording.
 
     Raises:
-        UnknownNameError: no such view.
-        TrajectoryError: only frames were recorded, of other views or another size.
+        UnknownNameError: there is no such view.
+        TrajectoryError: only frames were recorded, and not with this view, size and samples.
     """
 
     def __init__(
@@ -38,7 +38,7 @@ class Frames:
     ) -> None:
         self.size = size
         self._rows: NDArray[Any]  # poses or recorded frames, one for each time step
-        self._write: Callable[[NDArray[Any], Pixels], None]  # the frame of a row
+        self._write: Callable[[NDArray[Any], Pixels], None]  # writes the frame of a row
         if trajectory.poses is not None:
             from magical import render  # imports numba: only when something is rendered
 
@@ -85,7 +85,7 @@ class TrajectorySource:
         return len(self.trajectory)
 
     def frames(self, view: View, size: int, samples: int | None) -> Frames:
-        """Its frames in one view at one resolution; raises `TrajectoryError` as `Frames` does."""
+        """The frames in one view at one resolution; raises `TrajectoryError` as `Frames` does."""
         key = view, size, samples
         if key not in self._frames:
             self._frames[key] = Frames(self.trajectory, *key)
@@ -94,7 +94,7 @@ class TrajectorySource:
     def body_states(self) -> NDArray[np.float64]:
         """Poses and velocities, (T + 1, 5 + blocks, 6) float64.
 
-        Velocities are not stored, so the actions are simulated again. Where the poses were
+        Velocities are not stored, so the actions are simulated again. If the poses were
         recovered from frames, the simulation follows them (see `estimated_states`).
 
         Raises:
@@ -140,10 +140,10 @@ class ObservationReader:
 
         Args:
             times: time steps.
-            out: where to write them; by default new arrays.
+            out: where to write the observations (default: new arrays).
 
         Returns:
-            An array (B, *shape), or a dict of such.
+            An array (B, *shape), or a dict of such arrays.
 
         Raises:
             TrajectoryError: a time step is outside the trajectory, or the trajectory lacks what
@@ -161,18 +161,18 @@ class ObservationReader:
 def observations(
     trajectory: Trajectory, observation: Observation = "LoRes4E", times: ArrayLike | None = None
 ) -> Any:
-    """The observations that the environment returned: (T + 1, *shape), or a dict of such.
+    """The observations that the environment returned: an array (T + 1, *shape), or a dict of them.
 
     Args:
         trajectory: the stored episode.
         observation: see `magical.observe.make_spec`. State vectors are simulated again, since
             velocities are not stored.
-        times: time steps from 0 to T, by default all.
+        times: time steps from 0 to T (default: all).
 
     Raises:
-        TrajectoryError: a recording of frames has no other observations; or the simulation does
-            not reproduce the trajectory, which state vectors need.
-        UnknownNameError: no such observation.
+        TrajectoryError: a recording of frames lacks the observation; or the simulation does not
+            reproduce the trajectory, which state vectors need.
+        UnknownNameError: there is no such observation.
     """
     steps = np.arange(len(trajectory) + 1) if times is None else times
     return ObservationReader(trajectory, observation).read(steps)
@@ -181,7 +181,7 @@ def observations(
 def read_all(
     trajectories: Iterable[Trajectory], total: int, observation: Observation
 ) -> dict[str, Any]:
-    """Every step of the trajectories, `total` in all, as plain arrays: see `Dataset.arrays`."""
+    """All `total` steps of the trajectories as plain arrays; see `Dataset.arrays`."""
     batch: Any = None
     actions: list[Actions] = []
     labels: list[Actions] = []
@@ -211,7 +211,7 @@ def read_all(
 
 
 def _concatenated(columns: Sequence[Actions]) -> Actions:
-    """Actions of several trajectories, all continuous if some are."""
+    """Actions of several trajectories, all continuous if any are."""
     if len({column.ndim for column in columns}) > 1:
         columns = [CONTINUOUS.convert(column) for column in columns]
     return np.concatenate(columns) if columns else np.empty(0, np.int64)

@@ -17,13 +17,13 @@ from magical.files import LOCK, locked, write_atomically
 def repair(path: Path | str) -> list[Problem]:
     """Rebuild the manifest from the intact trajectory files; returns the problems found.
 
-    Damaged trajectory files are moved to the folder `damaged`. Files that are as the manifest lists
-    them are kept even where their task is not registered, or by now allows other scenes.
+    Damaged trajectory files are moved to the folder `damaged`. Files that match the manifest are
+    kept even if their task is not registered, or no longer allows their scene.
 
     Raises:
-        DatasetError: there is no dataset; a file cannot be read, or is of a task that is not
-            registered, and is not listed. Nothing is changed then.
-        OSError: it cannot be written.
+        DatasetError: there is no dataset; a file cannot be read, or it belongs to an unregistered
+            task and does not match the manifest. Nothing is changed then.
+        OSError: the dataset cannot be written.
     """
     folder = Path(path)
     if not (folder / manifest.FOLDER).is_dir():
@@ -58,9 +58,9 @@ def repair(path: Path | str) -> list[Problem]:
 
 
 def open_repaired(path: Path | str) -> Dataset:
-    """Open a dataset; a damaged one is repaired, as after a kill between a file and its entry.
+    """Open a dataset, repairing it first if it is damaged, as by a kill during an append.
 
-    Raises what `repair` raises.
+    Raises the errors of `repair`.
     """
     try:
         return Dataset.open(path)
@@ -80,7 +80,7 @@ def _set_aside(file: Path, damaged: Path) -> None:
 
 
 def _read(file: Path) -> bytes | None:
-    """A file's bytes; None if it is no trajectory's. Raises `DatasetError` if it is unreadable."""
+    """A file's bytes; None if it is not a trajectory's. Raises `DatasetError` if unreadable."""
     try:
         return read_file(file)
     except DatasetError as error:

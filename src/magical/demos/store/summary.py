@@ -28,12 +28,12 @@ class DatasetSummary:
     score: float | None  # mean of the known scores by the appendix's rule
     published_code_score: float  # mean
     size: int  # bytes on disk
-    action_spaces: tuple[ActionSpaceName, ...]  # of the actions
-    actions: tuple[int, ...]  # count of each of the 18; of continuous ones, of the equal points
+    action_spaces: tuple[ActionSpaceName, ...]  # kinds of actions found
+    actions: tuple[int, ...]  # count of each of the 18; continuous ones count if equal
 
     @property
     def action_frequencies(self) -> list[tuple[str, float]]:
-        """Names of the discrete actions taken and their share of all, most frequent first."""
+        """Names of the discrete actions taken and their shares of all steps, largest first."""
         total = round(self.count * self.lengths[1])
         order = np.argsort(self.actions, kind="stable")[::-1]
         return [(ACTION_NAMES[i], self.actions[i] / total) for i in order if self.actions[i]]
@@ -43,17 +43,17 @@ def summarise_dataset(dataset: Dataset) -> list[DatasetSummary]:
     """A summary for each environment, sorted by id; reads every trajectory once.
 
     Raises:
-        DatasetError: a trajectory is damaged; `Dataset.open(..., skip_damaged=True)` leaves those
-            out.
+        DatasetError: a trajectory is damaged; `Dataset.open(..., skip_damaged=True)` leaves damaged
+            ones out.
     """
     groups = group_by(dataset.entries, attrgetter("env_id"))
     return [_summary(Dataset(dataset.path, groups[env_id])) for env_id in sorted(groups)]
 
 
 def find_duplicates(entries: Iterable[ManifestEntry]) -> list[tuple[str, str]]:
-    """Pairs (later, earlier) of an environment with the same actions and poses or frames.
+    """Pairs (later, earlier) in one environment with the same actions and poses or frames.
 
-    They are named by source or file.
+    Each is given by the name of its source or file.
     """
     first: dict[tuple[str, str], ManifestEntry] = {}
     pairs = []
@@ -90,7 +90,7 @@ def _summary(part: Dataset) -> DatasetSummary:
 
 
 def _counts(actions: Actions) -> NDArray[np.int64]:
-    """How often each discrete action is among some of either kind, (18,)."""
+    """How often each of the 18 discrete actions occurs among actions of either kind, (18,)."""
     if actions.ndim == 1:
         return np.bincount(actions.astype(np.int64), minlength=NUM_ACTIONS)
     counts: NDArray[np.int64] = (actions[:, None] == POINTS).all(axis=-1).sum(axis=0)

@@ -32,12 +32,12 @@ VIEWS = tuple(str(view) for view in View)
 RECOVERY = "recovery"  # in the metadata: how poses were recovered from frames
 MAX_NAME = 1000  # characters of an environment id or a demonstrator's name
 MAX_POSE = (10.0, 10.0, 1e6)  # units, units and radians: the workspace is [-1, 1] x [-1, 1]
-_ACTIONS = "actions", "expert_actions", "policy_actions"  # columns of one kind
+_ACTIONS = "actions", "expert_actions", "policy_actions"  # all of the same kind
 _ENV_ID = re.compile(r"[\w/-]{1,200}")
 
 
 class Actor(IntEnum):
-    """Who chose an action that was executed, in an episode that several took part in."""
+    """Who chose an executed action, in an episode with several actors."""
 
     POLICY = 0
     EXPERT = 1
@@ -48,13 +48,13 @@ class Actor(IntEnum):
 class Trajectory:
     """A recorded episode of T control steps, with T + 1 time steps from `reset` to its end.
 
-    `poses` are known, from which any view can be rendered exactly at any resolution, or `frames`,
-    or both. Arrays are copied and made read-only. Metadata must be plain JSON data.
+    It has `poses`, from which any view can be rendered exactly at any resolution, or `frames`, or
+    both. Arrays are made read-only; writeable ones are copied. Metadata must be plain JSON data.
 
-    `actions` are those that were executed, which led from each pose to the next: numbers, or the
-    points of continuous ones, and then so are all others of the episode. Where others than
-    the expert's were executed, in perturbed demonstrations and in DAgger's episodes,
-    `expert_actions` has what the expert chose in each state. Imitation learners learn `labels`.
+    `actions` are the executed ones, which led from each pose to the next. They are discrete or
+    continuous, as are all other actions of the episode. If actions other than the expert's were
+    executed, as in perturbed demonstrations and in DAgger's episodes, `expert_actions` has the
+    expert's choice in each state. Imitation learners learn `labels`.
 
     In an episode in which a person watched a policy and took over, `actors` says who acted in each
     step, and `policy_actions` what the policy chose in each state, executed or not. Learners leave
@@ -69,16 +69,16 @@ class Trajectory:
 
     env_id: EnvId  # without a preset, such as magical/FindDupe-TestAll-v0; a string is parsed
     scene: Scene  # the initial scene
-    actions: Actions  # (T,), or (T, 3) of continuous ones; executed
+    actions: Actions  # (T,), or (T, 3) if continuous; executed
     published_code_score: float  # of the final state (docs/specification.md, section 9)
     score: float | None = None  # of the final state by the appendix's rule; None: poses unknown
     dynamics: Dynamics = field(default_factory=Dynamics)
-    seed: int | None = None  # passed to `reset`, where known
+    seed: int | None = None  # passed to `reset`, if known
     poses: NDArray[np.float64] | None = None  # (T + 1, 5 + blocks, 3), rows as in `Poses`
     frames: Mapping[str, NDArray[np.uint8]] | None = None  # view: (T + 1, 96, 96, 3)
-    expert_actions: Actions | None = None  # as `actions`; None: those that were executed
-    actors: NDArray[np.uint8] | None = None  # (T,), of `Actor`; None: the demonstrator, always
-    policy_actions: Actions | None = None  # as `actions`, of the policy that was watched
+    expert_actions: Actions | None = None  # as `actions`; None: the executed ones
+    actors: NDArray[np.uint8] | None = None  # (T,), of `Actor`; None: always the demonstrator
+    policy_actions: Actions | None = None  # as `actions`, of the watched policy
     demonstrator: str = "unknown"  # the person or policy that chose the actions
     metadata: Mapping[str, Any] = field(default_factory=dict)
 
@@ -145,12 +145,12 @@ class Trajectory:
 
     @property
     def labels(self) -> Actions:
-        """The actions to imitate: the expert's where it has others than were executed."""
+        """The actions to imitate: `expert_actions` if there are any, otherwise `actions`."""
         return self.actions if self.expert_actions is None else self.expert_actions
 
     @property
     def is_demonstrated(self) -> NDArray[np.bool_]:
-        """Whether each label, (T,), is a demonstrator's and no policy's own action."""
+        """Whether each label, (T,), is a demonstrator's, not a policy's own action."""
         if self.actors is None or self.expert_actions is not None:
             return np.ones(len(self), np.bool_)
         demonstrated: NDArray[np.bool_] = self.actors != Actor.POLICY
@@ -158,21 +158,21 @@ class Trajectory:
 
     @property
     def is_intended(self) -> NDArray[np.bool_]:
-        """Whether each executed action, (T,), is the one that a demonstrator chose."""
+        """Whether each executed action, (T,), is one that a demonstrator chose."""
         same = (self.labels == self.actions).reshape(len(self), -1).all(axis=1)
         intended: NDArray[np.bool_] = self.is_demonstrated & same
         return intended
 
     @property
     def action_space(self) -> ActionSpaceName:
-        """The kind of its actions."""
+        """The kind of actions that it has."""
         return spec_of(self.actions).name
 
     def with_action_space(self, name: ActionSpaceName) -> "Trajectory":
-        """The same episode with actions of another kind, which make the same motions.
+        """The same episode with actions of another kind, which produce the same motions.
 
         Raises:
-            TrajectoryError: continuous actions that are none of the 18 discrete ones.
+            TrajectoryError: some continuous actions are not among the 18 discrete ones.
             UnknownNameError: there is no such action space.
         """
         spec = action_spec(name)
@@ -194,7 +194,7 @@ class Trajectory:
 
     @property
     def is_recovered(self) -> bool:
-        """Whether poses were recovered from frames: the simulation does not reproduce them."""
+        """Whether poses were recovered from frames, so the simulation does not reproduce them."""
         return self.poses is not None and RECOVERY in self.metadata
 
     def _checked_actors(self, actors: ArrayLike) -> NDArray[np.uint8]:
@@ -246,10 +246,10 @@ def _frozen(array: NDArray[Any]) -> NDArray[Any]:
 
 
 def stored_env_id(value: Any) -> EnvId:
-    """The environment id in a file; one that names a module is refused, as nothing is imported.
+    """Parse an environment id from a file; one that names a module is refused, never imported.
 
     Raises:
-        TrajectoryError: anything but a string of letters, digits, `_`, `-` and `/`.
+        TrajectoryError: the value is not a string of letters, digits, `_`, `-` and `/`.
         UnknownNameError: there is no such environment.
     """
     if not isinstance(value, str) or not _ENV_ID.fullmatch(value):
@@ -258,7 +258,7 @@ def stored_env_id(value: Any) -> EnvId:
 
 
 def checked_score(name: str, value: Any) -> float:
-    """A score; raises `TrajectoryError` for anything but a number from 0 to 1."""
+    """The value as a score; raises `TrajectoryError` unless it is a number from 0 to 1."""
     if not isinstance(value, int | float) or not 0.0 <= value <= 1.0:
         raise TrajectoryError(f"{name}: expected a number from 0 to 1, found {quoted(value)}")
     return float(value)
@@ -267,7 +267,7 @@ def checked_score(name: str, value: Any) -> float:
 def checked_actions(
     name: str, actions: ArrayLike, ndim: int = 1, count: int | None = None
 ) -> Actions:
-    """Actions (T,), or with two dimensions (T, 3), read-only; raises `TrajectoryError`."""
+    """Checked, read-only actions (T,), or (T, 3) if `ndim` is 2; raises `TrajectoryError`."""
     rows = len(np.atleast_1d(actions)) if count is None else count
     if not rows:
         raise TrajectoryError(f"{name}: expected at least one, found none")

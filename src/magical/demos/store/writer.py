@@ -1,4 +1,4 @@
-"""Appending trajectories to a dataset, each in one transaction."""
+"""Appending trajectories to a dataset, each in its own transaction."""
 
 import os
 from pathlib import Path
@@ -20,12 +20,12 @@ from magical.messages import quoted
 
 
 class DatasetWriter:
-    """Appends to a dataset, which is created if there is none; several processes may do so at once.
+    """Appends to a dataset, created if it does not exist; several processes may append at once.
 
-    Temporary files of killed writers are removed.
+    Temporary files left by killed writers are removed.
 
     Raises:
-        DatasetError: the folder holds something else or cannot be written.
+        DatasetError: the folder contains other files, or cannot be written.
     """
 
     def __init__(self, path: Path | str) -> None:
@@ -39,13 +39,13 @@ class DatasetWriter:
         """Store a trajectory; on failure the dataset stays as it was.
 
         Raises:
-            DatasetError: the disk is full, or the manifest is damaged; names the file.
+            DatasetError: the disk is full, or the manifest is damaged; the message names the file.
             TrajectoryError: its metadata is too large for the format.
         """
         return self.append_encoded(*manifest.encoded(trajectory))
 
     def append_encoded(self, entry: ManifestEntry, raw: bytes) -> ManifestEntry:
-        """`append` for an already encoded trajectory, such as one from another process."""
+        """As `append`, for an already encoded trajectory, such as one from another process."""
         try:
             with locked(self.path / LOCK):
                 index, check = manifest.last_line(self.path)
@@ -75,8 +75,8 @@ class DatasetWriter:
                 f"{quoted(others)}"
             )
         make_folder(self.path / manifest.FOLDER)
-        with locked(self.path / LOCK):  # which all writers of these files hold
-            found = stored_files(self.path)  # raises where their folder is a symbolic link
+        with locked(self.path / LOCK):  # held by all writers of these files
+            found = stored_files(self.path)  # raises if their folder is a symbolic link
             remove_partial_files(self.path, manifest.NAME)
             remove_partial_files(self.path / manifest.FOLDER, "*.npz")
             if not (self.path / manifest.NAME).exists():
@@ -89,9 +89,9 @@ class DatasetWriter:
 
 
 def _others(folder: Path) -> list[str]:
-    """The names of what is in a folder without a manifest that no writer has put there."""
+    """The names of files in a folder without a manifest that no writer has created."""
     if (folder / manifest.NAME).exists():
         return []
-    written = (LOCK, manifest.FOLDER, manifest.NAME)  # by another process, meanwhile
+    written = (LOCK, manifest.FOLDER, manifest.NAME)  # perhaps just now, by another process
     others = (f for f in folder.iterdir() if f.name not in written)
     return sorted(file.name for file in others if not is_partial(file, manifest.NAME))

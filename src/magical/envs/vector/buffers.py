@@ -27,7 +27,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class BufferLayout:
-    """Which arrays there are for `num_envs` sub-environments of at most `max_bodies` bodies.
+    """The arrays for `num_envs` sub-environments of at most `max_bodies` bodies each.
 
     `keep_final` adds room for each sub-environment's last observation of an episode (SAME_STEP
     autoreset). `copies` is the number of observation arrays that may be handed out (`Copies`).
@@ -42,7 +42,7 @@ class BufferLayout:
 
     @property
     def fields(self) -> dict[str, tuple[ArrayShape, DTypeLike, int]]:
-        """Shape, type and offset in bytes of each array; an observation's are `name/part`."""
+        """Shape, type and offset in bytes of each array; an observation's are named `name/part`."""
         n = self.num_envs
         fields: dict[str, tuple[ArrayShape, DTypeLike]] = {
             "actions": ((n, *self.action_spec.shape), self.action_spec.dtype),
@@ -68,7 +68,7 @@ class BufferLayout:
 
     @property
     def size(self) -> int:
-        """Bytes of all arrays together."""
+        """The total size of all arrays in bytes."""
         *_, (shape, dtype, offset) = self.fields.values()
         return offset + _bytes(shape, dtype)
 
@@ -76,7 +76,7 @@ class BufferLayout:
 class VectorBuffers:
     """The arrays of N sub-environments."""
 
-    actions: Actions  # (N,), or (N, 3) of continuous ones
+    actions: Actions  # (N,), or (N, 3) for continuous ones
     active: NDArray[np.bool_]  # (N,): where a step acts
     rewards: NDArray[np.float64]  # (N,)
     truncations: NDArray[np.bool_]  # (N,)
@@ -86,7 +86,7 @@ class VectorBuffers:
     steps: NDArray[np.int64]  # (N,): control steps since reset
     horizons: NDArray[np.int64]  # (N,)
     copy_to: NDArray[np.int64]  # (1,): which of `copies` a step fills, or -1
-    observations: Any  # (N, ...), or a dict of such
+    observations: Any  # (N, ...), or a dict of such arrays
     final_observations: Any  # the same, or None
     copies: list[Any]  # each the same
 
@@ -110,7 +110,7 @@ class VectorBuffers:
 class Copies:
     """Arrays in the buffers that are handed out as observations.
 
-    The sub-environments copy their observations into one of them while they are still in their
+    The sub-environments copy their observations into one of them while these are still in the
     core's cache, on all cores in parallel. An array is reused once the caller holds neither it
     nor any view of it; while all are held, observations are copied after the step.
     """
@@ -131,7 +131,7 @@ class Copies:
         return -1
 
     def hand_out(self, index: int) -> Any:
-        """The observations in an array, or copied if the index is -1."""
+        """The observations in an array, or a copy of them if the index is -1."""
         if index < 0:
             return copy_arrays(self._buffers.observations)
         # These arrays and all views of them keep this object alive as the owner of their memory.
@@ -148,7 +148,7 @@ class Copies:
 class SharedMemory:
     """Unnamed shared memory, which worker processes can map.
 
-    Without a name nothing remains, however the processes end. `handle` is passed to the
+    Without a name, nothing is left behind however the processes end. `handle` is passed to the
     workers: a file descriptor to inherit, or a tag on Windows.
     """
 
@@ -195,5 +195,5 @@ def _bytes(shape: ArrayShape, dtype: DTypeLike) -> int:
 
 
 def _parts(fields: Mapping[str, T], name: str) -> dict[str, T]:
-    """What belongs to the arrays of one observation, by the names of its parts."""
+    """The fields that belong to one observation, by the names of its parts."""
     return {key.split("/")[1]: fields[key] for key in fields if key.startswith(f"{name}/")}

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from magical.errors import ResetNeededError, UnknownNameError
 from magical.messages import quoted
 
-MAX_TIMEOUT = 1e6  # s, that can be waited for in one call of the system
+MAX_TIMEOUT = 1e6  # s, the longest that one system call can wait
 
 
 def parse_autoreset_mode(mode: str | AutoresetMode) -> AutoresetMode:
-    """A mode, or the mode of a value such as "SameStep"; raises `UnknownNameError`."""
+    """Parse an autoreset mode, or a value such as "SameStep"; raises `UnknownNameError`."""
     try:
         return AutoresetMode(mode)
     except ValueError as error:
@@ -62,7 +62,7 @@ def checked_seeds(seed: int | Sequence[int | None] | None, num_envs: int) -> lis
 
 
 def check_timeout(timeout: float | None, workers: int) -> None:
-    """Raise `ValueError` unless it is None, or a number of seconds where there are workers."""
+    """Raise `ValueError` for a timeout out of range, without workers or on Windows."""
     if timeout is None:
         return
     number = isinstance(timeout, int | float) and not isinstance(timeout, bool)
@@ -77,7 +77,7 @@ def check_timeout(timeout: float | None, workers: int) -> None:
 
 
 def require_episodes(what: str, running: NDArray[np.bool_], env_ids: Sequence[str]) -> None:
-    """Raise `ResetNeededError` that names the sub-environments without an episode, if any."""
+    """Raise `ResetNeededError`, naming the sub-environments without an episode, if any."""
     if not running.all():
         rows = np.flatnonzero(~running).tolist()
         names = ", ".join(f"{row} ({env_ids[row]})" for row in rows[:5])

@@ -52,8 +52,8 @@ _CLOSING = (WorkerDiedError, WorkerTimeoutError)  # errors after which the envir
 class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
     """N sub-environments, of one or of several tasks and variants, stepped together.
 
-    Sub-environment i behaves as `MagicalEnv` of `env_ids[i]` does when it is reset with the same
-    seed and given the same actions, to the last bit, whatever the number of workers. Observations
+    Sub-environment i behaves, to the last bit, like a `MagicalEnv` for `env_ids[i]` with the same
+    reset seed and the same actions, whatever the number of workers. Observations
     are batched as Gymnasium batches them; `infos` holds `eval_score`, `published_code_score` and
     `is_success`, 0.0 and False before an episode's last step, as arrays with their masks, and the
     `instruction` of each sub-environment that starts an episode.
@@ -64,7 +64,7 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
             steps them in this process; None starts one for each core. Workers are fresh
             interpreters and never import the main script. If one ends unexpectedly, the next call
             raises `WorkerDiedError` and the environment is closed. With workers, only the process
-            that made the environment may use it, and with any number only one thread at a time.
+            that made the environment may use it; in any case, only one thread at a time may.
         observation: see `observe.make_spec`; takes precedence over the ids' preset.
         horizon: as for `MagicalEnv`.
         reward: as for `MagicalEnv`.
@@ -78,7 +78,7 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
             until `reset(seed=..., options={"reset_mask": ended})`.
         copy: whether the caller owns returned observations; otherwise they are the
             buffers' own arrays, which the next step or reset overwrites. With workers, images are
-            in memory that a forked child shares: copy what you pass on to one.
+            in memory that a forked child shares: copy what you pass to one.
         render_mode: "rgb_array" or None.
         timeout: seconds in which the workers must finish a step, a reset or a call of `get_state`
             or `set_state`; otherwise `WorkerTimeoutError` is raised and the environment is closed.
@@ -87,10 +87,10 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
     Raises:
         UnknownNameError: an unknown id, observation, reward, instruction, action space, autoreset
             mode or render mode.
-        ValueError: no ids, or a number of workers or a timeout that cannot be.
-        InvalidConfigError, ObservationError: an impossible horizon or observation.
+        ValueError: no ids, or an invalid number of workers or timeout.
+        InvalidConfigError, ObservationError: an invalid horizon or observation.
         MismatchedSpacesError: sub-environments whose observation spaces differ.
-        InvalidTaskError: a task that workers could not import.
+        InvalidTaskError: a task that workers cannot import.
     """
 
     def __init__(
@@ -165,8 +165,8 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         """Start an episode in every sub-environment, or where `options["reset_mask"]` is True.
 
         Args:
-            seed: sub-environment i gets `seed + i`, or `seed[i]` of a list; None continues each
-                one's own random generator.
+            seed: sub-environment i gets `seed + i`, or `seed[i]` of a list; None continues with
+                each one's own random generator.
             options: `reset_mask`, bool (N,); `scene`, `dynamics` and `nudge` as for `MagicalEnv`.
 
         Returns:
@@ -199,8 +199,8 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
                 sub-environment out. By default all are active.
 
         Raises:
-            InvalidActionError: actions of a wrong shape, type or size; nothing has happened.
-            ResetNeededError: a sub-environment has no running episode; nothing has happened.
+            InvalidActionError: actions of a wrong shape, type or range; nothing has changed.
+            ResetNeededError: a sub-environment has no running episode; nothing has changed.
             WorkerDiedError, WorkerTimeoutError: the environment is closed.
         """
         with self._call("step"):
@@ -247,7 +247,7 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
     def bodies(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         """All bodies as (N, max bodies, 6): x, y, angle and their velocities.
 
-        The rows are those of `Poses`; the second array, (N,), is the number in use. Both are
+        The rows are those of `Poses`; the second array, (N,), holds how many are in use. Both are
         read-only views of the buffers, which the next step or reset overwrites.
         """
         self._require_episodes("bodies")
@@ -262,7 +262,7 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         return sub_envs.process_ids if isinstance(sub_envs, RemoteSubEnvs) else []
 
     def get_state(self, index: int) -> dict[str, Any]:
-        """What `MagicalEnv.get_state` returns, of sub-environment `index`."""
+        """What `MagicalEnv.get_state` returns, for sub-environment `index`."""
         with self._call("get_state"):
             self._require_episodes("get_state", index)
             row = range(self.num_envs)[index]
@@ -293,7 +293,7 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
             return copy_arrays(select(self._buffers.observations, index))
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """Both views of every sub-environment side by side: N arrays (384, 768, 3)."""
+        """Both views of every sub-environment side by side: N arrays (384, 768, 3), or None."""
         if self.render_mode is None:
             return None
         from magical.render import render_views  # imports numba: only when something is rendered
@@ -313,7 +313,7 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
     def _call(self, name: str) -> Iterator[None]:
         """Refuse a call that cannot be made now; other calls are refused until it has ended.
 
-        Every call writes the arrays.
+        Every call writes to the arrays.
         """
         self._require_open(name)
         if not self._lock.acquire(blocking=False):
@@ -330,7 +330,7 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
     def _start(self, started: Started) -> None:
         for row, scene in started:
             self._scenes[row] = scene
-            # Only a state that was set can be at its episode's end.
+            # Only a restored state can be at its episode's end.
             ended = self._buffers.steps[row] >= self._buffers.horizons[row]
             self._running[row] = not (ended and self.autoreset_mode is AutoresetMode.DISABLED)
 

@@ -32,7 +32,7 @@ Seeds = Sequence[tuple[int, int | None]]  # sub-environments to reset, and their
 class VectorSpec:
     """What a vector environment consists of.
 
-    Raises `InvalidConfigError` or `UnknownNameError` for an impossible variant, horizon or reward.
+    Raises `InvalidConfigError` or `UnknownNameError` for an invalid variant, horizon or reward.
     """
 
     env_ids: tuple[EnvId, ...]  # one for each sub-environment, without presets
@@ -54,7 +54,7 @@ class VectorSpec:
         return [env_id.task_spec for env_id in self.env_ids]
 
     def layout(self) -> BufferLayout:
-        """The memory that all sub-environments need."""
+        """The layout of the memory that all sub-environments need."""
         bodies = FIRST_BLOCK + max(task.max_blocks for task in self.tasks())
         keep_final = self.autoreset_mode is AutoresetMode.SAME_STEP
         copies = COPIES if self.copy and self.observation.num_images else 0
@@ -201,7 +201,7 @@ class _SubEnv:
         """Start an episode as `MagicalEnv.reset` does."""
         if seed is not None:
             self.rng, _ = seeding.np_random(seed)
-        self.ended = True  # should the start fail
+        self.ended = True  # in case the start fails
         self.episode.start(self.rng, options)
         return self._started()
 

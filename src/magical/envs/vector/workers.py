@@ -32,24 +32,24 @@ from magical.tasks import Task, load_tasks
 from magical.tasks.programs.generated import is_generated
 from magical.tasks.registry import GROUP
 
-_GRACE_PERIOD = 2.0  # seconds that workers have to end by themselves
+_GRACE_PERIOD = 2.0  # seconds that workers have to exit on their own
 _STEP = pickle.dumps(("step", ()))
-# pymunk leaves the spaces of past episodes, some 80 kB each, to the garbage collector, which by
-# itself would run only after a few hundred.
+# pymunk leaves the spaces of past episodes, some 80 kB each, to the garbage collector, which on
+# its own would run only after a few hundred.
 _EPISODES_KEPT = 16
 
 
 class RemoteSubEnvs:
     """All sub-environments of a vector environment, spread over worker processes.
 
-    It has the methods of `SubEnvs`. The processes end with `close`, with this object's life, or
-    with this process, whichever comes first.
+    It has the methods of `SubEnvs`. The processes end when `close` is called, when this object is
+    collected or when this process exits, whichever comes first.
 
     Args:
         spec: what the vector environment consists of.
         workers: the number of processes, at most one for each sub-environment.
-        memory: what the buffers lie in.
-        timeout: seconds that a call may take, but not the start; None for no limit.
+        memory: holds the buffers.
+        timeout: seconds that a call may take, which does not limit the start; None for no limit.
     """
 
     def __init__(
@@ -155,9 +155,9 @@ class _Worker(Child):
         super().__init__(__name__, name, memory.inherited)
 
     def has_replied(self, deadline: float = 0.0) -> bool:
-        """Whether a reply, or the end of the process, can be read by then (`time.monotonic()`).
+        """Whether a reply or the process's end can be read by `deadline` (`time.monotonic()`).
 
-        A worker writes a reply in one go, so the rest of it is not waited for.
+        A worker writes a reply in one go, so there is no need to wait for the rest of it.
         """
         poll = select.poll()
         poll.register(self.replies, select.POLLIN)
@@ -173,8 +173,8 @@ def split(count: int, workers: int) -> Iterator[range]:
 def defining_modules(tasks: Sequence[Task]) -> list[str]:
     """The modules that a new process must import to have tasks from outside the package.
 
-    It finds those of entry points by itself. Raises `InvalidTaskError` for another that no
-    importable module holds.
+    The process finds tasks of entry points on its own. Raises `InvalidTaskError` for any other task
+    that no importable module holds.
     """
     own = [module for module in vars(magical.tasks).values() if isinstance(module, ModuleType)]
     known = plugins(GROUP)
@@ -213,9 +213,9 @@ def _end(workers: "list[_Worker]", owner: int) -> None:
 
 
 def main(requests: IO[bytes], replies: IO[bytes]) -> None:
-    """A worker's side: make its sub-environments at the first request, then call their methods."""
+    """The worker's side: make sub-environments at the first request, then call their methods."""
     sub_envs: SubEnvs
-    episodes = 0  # since the last collection of garbage
+    episodes = 0  # since the last garbage collection
 
     def answer(request: tuple[str, tuple[Any, ...]]) -> Any:
         nonlocal sub_envs, episodes
@@ -244,14 +244,14 @@ def _start(modules: Sequence[str], spec: VectorSpec, handle: int | str, rows: ra
         os.close(handle)
     _warm_up(spec)
     sub_envs = SubEnvs(spec, rows, VectorBuffers(layout, memory))
-    # What is loaded by now stays; without it collections take a millisecond or two.
+    # What is loaded by now stays loaded; excluding it, a collection takes a millisecond or two.
     gc.collect()
     gc.freeze()
     return sub_envs
 
 
 def _warm_up(spec: VectorSpec) -> None:
-    """Take one step in an episode of no further use, so that everything needed is loaded."""
+    """Take one step in a throwaway episode, so that everything needed is loaded."""
     variant = spec.env_ids[0].variant
     episode = Episode(spec.tasks()[0], variant, spec.observation, spec.horizon, spec.reward)
     with suppress(Exception):  # an error here will be raised again by the first reset

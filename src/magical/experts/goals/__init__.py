@@ -1,8 +1,8 @@
-"""What each task asks for, as moves of blocks and robot: one file per task, found by its name.
+"""The goals of each task as moves of blocks and robot: one file per task, found by its name.
 
 A task of this package in `magical/tasks/<file>.py` has its goals in `<file>.py` here, a module
-that ends with `PLANNER = Planner(...)`. Other distributions offer theirs by entry points of the
-group `magical.experts`, named like the task, or call `register_planner`.
+that ends with `PLANNER = Planner(...)`. Other packages provide theirs by entry points in the group
+`magical.experts`, named after the task, or call `register_planner`.
 """
 
 import importlib
@@ -23,16 +23,16 @@ _registered: dict[str, Planner] = {}
 
 
 def register_planner(task: str, planner: Planner) -> None:
-    """Give a task an expert; one that it already has is replaced."""
+    """Register a task's planner, replacing any that it already has."""
     _registered[task] = planner
 
 
 def get_planner(task: str) -> Planner:
-    """What plans the moves of a task's expert.
+    """The planner of a task's expert.
 
     Raises:
-        NoExpertError: the task has no expert; says how to add one.
-        PluginError: the expert of another distribution cannot be imported.
+        NoExpertError: the task has no expert; the message says how to add one.
+        PluginError: another package's planner cannot be imported, or is not a `Planner`.
     """
     if task in _registered:
         return _registered[task]
@@ -58,7 +58,7 @@ def get_planner(task: str) -> Planner:
 
 
 def has_expert(task: str) -> bool:
-    """Whether a task has a scripted expert; it is not imported."""
+    """Whether a task has a scripted expert; the expert is not imported."""
     return task in _registered or _is_ours(task) or task in plugins(GROUP) or is_generated(task)
 
 

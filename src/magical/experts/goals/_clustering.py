@@ -1,9 +1,9 @@
 """Goals of ClusterColour and ClusterShape: where clusters grow, and which blocks move there.
 
-Clusters may be loose (appendix A.2.7), so many blocks can stay where they are. A plan is one anchor
-for each cluster and the blocks that move to theirs. Many choices of anchors are priced at once;
-the cheapest is refined by leaving out moves that are not needed and adding those that make room
-around enclosed blocks.
+Clusters may be loose (appendix A.2.7), so many blocks can stay where they are. A plan consists of
+one anchor for each cluster, and of the blocks that move to their anchors. Many choices of anchors
+are priced at once; the cheapest is refined by removing moves that are not needed and adding moves
+that make room around enclosed blocks.
 """
 
 import math
@@ -28,30 +28,30 @@ from magical.scene.geometry import lengths
 from magical.tasks.programs import Attribute, value_of
 
 # When blocks count as clustered, and which anchors are considered.
-PLANNED_RATIO = 0.22  # of squared centroid distances that a plan aims at; tuned
+PLANNED_RATIO = 0.22  # of squared centroid distances that a plan aims for; tuned
 RATIO_RANGE = 0.1  # above it, over which a block counts less and less; tuned
-SOLVED_RATIO = 0.30  # good enough to stop; below 1 / 3 scores
-LASTING_RATIO = 0.32  # good enough not to start again; below 1 / 3 scores
+SOLVED_RATIO = 0.30  # good enough to stop; the score requires less than 1 / 3
+LASTING_RATIO = 0.32  # good enough not to start again; the score requires less than 1 / 3
 STAY = (0.18, 0.3, 0.5, 0.75)  # units from the anchor to blocks that stay
-REST = 0.2  # units from the anchor at which a moved block comes to rest, about; tuned
+REST = 0.2  # units: approximate distance from the anchor at which a moved block rests; tuned
 GRID = (-0.7, -0.35, 0.0, 0.35, 0.7)  # units: coordinates of free anchors
 ANCHOR_LIMIT = 0.78  # units: largest coordinate of an anchor; tuned
-CHOICES = 150  # of anchors for all clusters, sampled and priced at once; for time
-RING_PLACES = 12  # around an anchor that is taken, beside it; for time
-TOLERANCE = 0.09  # units of a move; tuned
+CHOICES = 150  # joint choices of all anchors, sampled and priced at once; for time
+RING_PLACES = 12  # places around an anchor that is occupied; for time
+TOLERANCE = 0.09  # units, of a move; tuned
 SEPARATION = 0.5  # units between blocks of different groups; swept
 
-# What a plan is charged for besides its moves, in control steps.
+# Costs of a plan in addition to its moves, in control steps.
 MISPLACED_COST = 120.0  # per block that would not count; tuned
 USELESS_COST = 1000.0  # for a plan after which no more blocks count than before; tuned
 CROWDING_COST = 250.0  # per unit of missing separation; swept
-LEAVING_SHARE = 0.3  # of it, for a block that is to leave the place; swept
-BLOCKED_COST = 250.0  # per unit of missing room beside a block's way; swept
-MAX_CROWDING = 200.0  # of crowding and blocked ways per block, at most; tuned
+LEAVING_SHARE = 0.3  # times `CROWDING_COST`, for a block that is to leave the place; swept
+BLOCKED_COST = 250.0  # per unit of missing room along a block's way; swept
+MAX_CROWDING = 200.0  # at most, for crowding and blocked ways per block; tuned
 ACCESS_FACTOR = 8.0  # times the grasp's cost: enclosed blocks are hardly ever grasped; tuned
-MAX_ACCESS = 160.0  # of access per block, at most; tuned
+MAX_ACCESS = 160.0  # at most, for access per block; tuned
 PREFERENCE = 6.0  # between the most and the least preferred place; tuned
-SWITCH_COST = 25.0  # that a new anchor must be better by; tuned
+SWITCH_COST = 25.0  # by which a new anchor must be better; tuned
 
 _GRID = np.array([(x, y) for x in GRID for y in GRID])  # (anchors, 2)
 _ANGLES = 2 * math.pi * np.arange(RING_PLACES) / RING_PLACES
@@ -64,11 +64,11 @@ class ClusterLayout:
 
     positions: Floats  # (n, 2)
     group: Ints  # (n,) index of the block's group
-    members: Floats  # (n, groups) 1 where the block is in the group
+    members: Floats  # (n, groups) 1 if the block is in the group
 
     @staticmethod
     def from_view(view: StateView, attribute: Attribute) -> "ClusterLayout":
-        """The present blocks, grouped by an attribute."""
+        """The current blocks, grouped by an attribute."""
         values = [value_of(block, attribute) for block in view.scene.blocks]
         _, group = np.unique(values, return_inverse=True)
         positions = np.array(view.resting_blocks)
@@ -80,7 +80,7 @@ class ClusterLayout:
         return len(self.members[0])
 
     def distance_ratios(self, positions: Floats) -> Floats:
-        """Own over nearest other squared distance to a centroid, (..., n), at (..., n, 2).
+        """Ratios (..., n) of squared distances to own and nearest other centroid, at (..., n, 2).
 
         A block counts as correctly clustered below 1 / 3 (appendix A.2.7).
         """
@@ -93,7 +93,7 @@ class ClusterLayout:
         return ratios
 
     def is_clustered(self, limit: float) -> bool:
-        """Whether every block's ratio of distances is below a limit."""
+        """Whether all ratios of distances are below a limit, or there are fewer than two groups."""
         ratios = self.distance_ratios(self.positions)
         return self.groups < 2 or bool(ratios.max() < limit)
 
@@ -118,7 +118,7 @@ def cluster_planner(attribute: Attribute) -> Planner:
 
 
 def _move(layout: ClusterLayout, anchors: Floats, block: int, wait: float) -> Move:
-    """Bring a block to its anchor, or beside the blocks of its group that are there already."""
+    """Bring a block to its anchor, or next to it if other blocks are there already."""
     anchor, others = anchors[layout.group[block]], np.delete(layout.positions, block, axis=0)
     places = np.concatenate((anchor[None], anchor + _RING))  # (1 + ring places, 2)
     x, y = layout.positions[block]
@@ -138,7 +138,7 @@ def _best(pricing: "Pricing", strategy: Strategy, last: MovePlan) -> tuple[Float
     picks = np.stack([rng.integers(len(own), size=CHOICES) for own in options], axis=1)
     best, moved = picks[0], np.zeros(len(pricing.layout.positions), dtype=np.bool_)
     for group in (None, *range(len(options)), *range(len(options))):
-        if group is not None:  # all anchors of one cluster, the others' kept
+        if group is not None:  # all anchors of one cluster, with the others fixed
             picks = np.repeat(best[None], len(options[group]), axis=0)
             picks[:, group] = np.arange(len(options[group]))
         anchors = np.stack([own[i] for own, i in zip(options, picks.T, strict=True)], axis=1)
@@ -154,7 +154,7 @@ def _best(pricing: "Pricing", strategy: Strategy, last: MovePlan) -> tuple[Float
 def _anchor_options(
     layout: ClusterLayout, strategy: Strategy, last: MovePlan
 ) -> tuple[list[Floats], list[Floats]]:
-    """Each group's possible anchors (M, 2), and the control steps (M,) of preferring others.
+    """Each group's possible anchors (M, 2), and their preference costs (M,) in control steps.
 
     They are the group's blocks, their centroid, the last plan's anchor, and free grid points.
     """
@@ -175,9 +175,9 @@ def _anchor_options(
 
 
 def _preferences(strategy: Strategy, group: int, anchors: Floats) -> Floats:
-    """How little (M,), from 0 to 1, the strategy prefers anchors (M, 2) for a group.
+    """How strongly (M,), from 0 to 1, the strategy disfavours anchors (M, 2) for a group.
 
-    It has a number for each group and each ninth of the workspace.
+    It has one number for each group (modulo 4) and each ninth of the workspace.
     """
     column, row = np.floor((anchors + 1.0) * 1.5).astype(np.intp).clip(0, 2).T
     table = np.array(strategy.placements[:36]).reshape(4, 3, 3)[group % 4]
@@ -189,9 +189,9 @@ class Pricing:
     """Prices plans for one layout: C choices of anchors (C, groups, 2) and moves (C, n).
 
     Attributes:
-        layout: the blocks as they are.
+        layout: the current blocks.
         grasp_costs: (n,) control steps that grasping each block costs among all others.
-        rank: (n,) each block's place in the order of that cost.
+        rank: (n,) each block's rank in ascending order of that cost.
     """
 
     def __init__(self, layout: ClusterLayout) -> None:
@@ -199,7 +199,7 @@ class Pricing:
         self._grasps = make_mutual_grasps(layout.positions)
         costs = self._grasps.wall_costs + self._grasps.block_costs.sum(axis=-1)
         self.grasp_costs: Floats = costs.min(axis=1)
-        # Two blocks that hinder each other cost the same but for rounding, which must not decide.
+        # Two blocks that hinder each other cost the same up to rounding, which must not decide.
         self.rank: Ints = self.grasp_costs.round(6).argsort(kind="stable").argsort()
 
     def cheapest_moves(self, anchors: Floats) -> tuple[Floats, Bools]:
@@ -211,7 +211,7 @@ class Pricing:
         return cost[least, rows], moved[least, rows]
 
     def refine(self, anchors: Floats, moved: Bools) -> Bools:
-        """Leave out or add single moves (n,) for as long as that makes the plan cheaper."""
+        """Remove or add single moves (n,) as long as that makes the plan cheaper."""
         away = self._distances_to_anchors(anchors)
         cost = float(self._cost(anchors, moved, away))
         toggle = np.eye(len(moved), dtype=np.bool_)
@@ -228,7 +228,7 @@ class Pricing:
         return lengths(self.layout.positions - anchors[..., self.layout.group, :])
 
     def _cost(self, anchors: Floats, moved: Bools, away: Floats) -> Floats:
-        """About how many control steps (C,) plans take, and what blocks out of place cost."""
+        """Approximate control steps (C,) that plans take, plus the costs of misplaced blocks."""
         before, after = self.layout.positions, self._positions_after(anchors, moved)
         near = lengths(after[..., :, None, :] - before)  # (C, n, n) from new to old positions
         time = MOVE_COST + DISTANCE_COST * away + self._access_cost(moved, near)
@@ -238,21 +238,21 @@ class Pricing:
         return cost + USELESS_COST * (misplaced >= self._misplaced(before))
 
     def _positions_after(self, anchors: Floats, moved: Bools) -> Floats:
-        """About where the blocks (C, n, 2) are once the moves are made."""
+        """Approximate positions (C, n, 2) of the blocks once the moves are made."""
         target = anchors[..., self.layout.group, :]
         offset = self.layout.positions - target
         offset *= REST / np.maximum(lengths(offset), REST)[..., None]
         return np.where(moved[..., None], target + offset, self.layout.positions)
 
     def _misplaced(self, positions: Floats) -> Floats:
-        """How many blocks (...) do not count at positions (..., n, 2), the doubtful in part."""
+        """How many blocks (...) do not count at positions (..., n, 2), doubtful ones in part."""
         ratios = self.layout.distance_ratios(positions)
         doubt = (ratios - PLANNED_RATIO) / RATIO_RANGE
         misplaced: Floats = doubt.clip(0.0, 1.0).sum(axis=-1)
         return misplaced
 
     def _access_cost(self, moved: Bools, near: Floats) -> Floats:
-        """What it costs (C, n) to grasp the blocks that move, the most accessible first."""
+        """Costs (C, n) of grasping the blocks that move, the most accessible first."""
         earlier = self.rank[:, None] > self.rank
         apart = lengths(self.layout.positions[:, None] - self.layout.positions)
         least = np.maximum(apart + 0.1, WORKING_DISTANCE)
@@ -260,20 +260,20 @@ class Pricing:
         return np.minimum(ACCESS_FACTOR * self.grasp_costs_among(~gone), MAX_ACCESS)
 
     def grasp_costs_among(self, others: Bools) -> Floats:
-        """Control steps (..., n) with only the blocks `others` (..., n, n) around each block."""
+        """Grasp costs (..., n), in control steps, with only `others` (..., n, n) around."""
         blocks = self._grasps.block_costs @ others[..., None].astype(np.float64)
         cost: Floats = (self._grasps.wall_costs + blocks[..., 0]).min(axis=-1)
         return cost
 
     def _crowding(self, after: Floats, near: Floats) -> Floats:
-        """What other groups' blocks at each block's new place, and any on its way, cost (C, n)."""
+        """Costs (C, n) of other groups' blocks at each block's new place, and of any on its way."""
         apart = lengths(after[..., :, None, :] - after[..., None, :, :])
         missing = np.maximum(0.0, SEPARATION - apart)
         # Blocks that are to leave may not have left yet.
         missing += LEAVING_SHARE * np.maximum(0.0, SEPARATION - near)
         before, group = self.layout.positions, self.layout.group
         share, gap = project_on_segments(before[:, None], after[..., :, None, :], before)
-        # A block is not in the way of itself, nor of one that drives off from beside it.
+        # A block does not obstruct itself, nor one that moves off from next to it.
         narrow = np.where(share > 0.0, np.maximum(0.0, DRIVING_CLEARANCE - gap), 0.0)
         crowding = CROWDING_COST * missing * (group[:, None] != group) + BLOCKED_COST * narrow
         total: Floats = crowding.sum(axis=-1)

@@ -1,4 +1,4 @@
-"""Moves into and out of goal regions, and what moves of blocks cost in all tasks."""
+"""Moves into and out of goal regions, and the costs of moving blocks in all tasks."""
 
 from collections.abc import Callable, Iterable, Sequence
 
@@ -17,7 +17,7 @@ from magical.scene import Colour, Region
 from magical.scene.constants import BLOCK_SIZE
 from magical.scene.geometry import Point, lengths
 
-MOVE_COST = 40.0  # control steps besides the way, for driving up and grasping; swept
+MOVE_COST = 40.0  # control steps in addition to the way, for driving up and grasping; swept
 DISTANCE_COST = 1.0 / DRIVE_STEP  # control steps per unit of way
 ROOM_COST = 150.0  # control steps per unit of missing room at the goal; tuned
 WALL_LIMIT = 0.85  # units: largest coordinate of a goal that costs nothing; tuned
@@ -26,11 +26,11 @@ WALL_COST = 20.0  # control steps beyond it, where fingers do not open freely; t
 INSIDE = 0.02  # units inside the edge from which a block need not move; tuned
 DONE_INSIDE = 0.04  # units inside the edge where a move ends; tuned
 OUTSIDE = 0.02  # units outside the edge from which a block need not move; tuned
-AIM = BLOCK_SIZE  # units inside or outside the edge that are aimed at; tuned
+AIM = BLOCK_SIZE  # units inside or outside the edge to aim for; tuned
 TOLERANCE = 0.08  # units; tuned
 PLACES_INSIDE = 5  # per side of a region's grid of places; for time
 PLACES_OUTSIDE = 15  # per side of the workspace's grid of places; for time
-OUTER_LIMIT = 0.84  # units: largest coordinate of these; tuned
+OUTER_LIMIT = 0.84  # units: largest coordinate of such a place; tuned
 WAY_COST = 40.0  # control steps per unit of missing room to blocks on the way out; tuned
 INSIDE_PREFERENCE = 6.0  # control steps per unit from the preferred place; tuned
 OUTSIDE_PREFERENCE = 5.0  # the same for blocks that must leave; tuned
@@ -41,12 +41,12 @@ _OUTER = Region(Colour.BLUE, _TICKS[0], _TICKS[-1], *2 * [_TICKS[-1] - _TICKS[0]
 
 
 def place_costs(places: Floats, block: Point, others: Floats) -> Floats:
-    """Control steps (P,) to bring a block to `places` (P, 2), and to set it down there.
+    """Control steps (P,) to bring a block to `places` (P, 2) and set it down there.
 
     Args:
-        places: where it could go.
-        block: where it is.
-        others: centres (M, 2) of the other blocks, which need room beside it.
+        places: where the block could go.
+        block: where the block is.
+        others: centres (M, 2) of the other blocks, which need room next to it.
     """
     room = lengths(places[:, None] - others)  # (P, M)
     missing = np.maximum(0.0, BLOCK_SPACING - room).sum(axis=1)
@@ -58,7 +58,7 @@ def place_costs(places: Floats, block: Point, others: Floats) -> Floats:
 def moves_in(
     view: StateView, strategy: Strategy, region: Region, blocks: Iterable[int]
 ) -> list[Move]:
-    """Moves that bring those of `blocks` that are outside into a region."""
+    """Moves that bring the `blocks` that are outside a region into it."""
     kept, done = inset(region, INSIDE), inset(region, DONE_INSIDE)
     outside = [i for i in blocks if not kept.contains(*view.blocks[i])]
     return [
@@ -67,7 +67,7 @@ def moves_in(
 
 
 def moves_out(view: StateView, strategy: Strategy, blocks: Iterable[int]) -> list[Move]:
-    """Moves that take those of `blocks` that are in any region out of all."""
+    """Moves that take the `blocks` that are in any region out of all regions."""
     areas = [inset(region, -OUTSIDE) for region in view.scene.regions]
     inside = [i for i in blocks if any(area.contains(*view.blocks[i]) for area in areas)]
     shunned = [inset(region, -AIM) for region in view.scene.regions]
@@ -79,7 +79,7 @@ def moves_out(view: StateView, strategy: Strategy, blocks: Iterable[int]) -> lis
 
 
 def inset(region: Region, margin: float) -> Region:
-    """The region made smaller by a margin on every side, but not to nothing."""
+    """The region shrunk by a margin on every side, but not to nothing."""
     across = min(margin, region.width / 2 - 0.01)
     down = min(margin, region.height / 2 - 0.01)
     return Region(
@@ -92,7 +92,7 @@ def inset(region: Region, margin: float) -> Region:
 
 
 def preferred_point(strategy: Strategy, region: Region, block: int) -> Point:
-    """Where in a region the strategy prefers to have a block."""
+    """The point in a region at which the strategy prefers to have a block."""
     u, v = (strategy.placements[(2 * block + i) % len(strategy.placements)] for i in (0, 1))
     return region.x + u * region.width, region.y - v * region.height
 

@@ -1,4 +1,4 @@
-"""Moves for a program of the language of goals, whichever it is."""
+"""Moves for any program in the language of goals."""
 
 import math
 from collections.abc import Iterator
@@ -31,7 +31,7 @@ from magical.tasks.programs import (
     Undisturbed,
 )
 
-MARGIN = 0.06  # units within a corner, wall zone or neighbourhood that are aimed at
+MARGIN = 0.06  # units within a corner, wall zone or neighbourhood to aim for
 TOLERANCE = 0.06  # units
 AROUND = MARGIN * np.array([(1, 0), (-1, 0), (0, 1), (0, -1)])  # (4, 2)
 
@@ -44,7 +44,7 @@ def program_planner(program: Goal) -> Planner:
 
 
 def plan(program: Goal, view: StateView, strategy: Strategy, last: MovePlan) -> MovePlan:
-    """The moves that the program's goals ask for; a block that several ask for moves once."""
+    """The moves that the program's goals ask for; the first goal to move a block decides."""
     if isinstance(program, Lined):
         chosen = sorted(program.selection.blocks(view.scene))
         return plan_line(view, chosen, strategy, last)
@@ -56,7 +56,7 @@ def plan(program: Goal, view: StateView, strategy: Strategy, last: MovePlan) -> 
 
 
 def is_solved(program: Goal, view: StateView) -> bool:
-    """Whether the score is 1 where the blocks would come to rest."""
+    """Whether the score is 1 once the blocks have come to rest."""
     rows = np.zeros((FIRST_BLOCK + len(view.blocks), 3))
     rows[0] = view.x, view.y, view.angle
     rows[FIRST_BLOCK:, :2] = np.reshape(view.resting_blocks, (-1, 2))
@@ -88,7 +88,7 @@ def _moves(goal: Goal, view: StateView, strategy: Strategy) -> list[Move]:
 
 
 def _to_place(place: Place, view: StateView, strategy: Strategy, block: int) -> list[Move]:
-    """The move that brings a block to a place, or none where it is there."""
+    """The move that brings a block to a place, or none if it is already there."""
     if isinstance(place, OutOfRegions):
         return moves_out(view, strategy, [block])
     if isinstance(place, InRegion | InOwnColour):
@@ -109,14 +109,14 @@ def _is_there(place: Place, view: StateView, block: int) -> bool:
 
 
 def _is_well_within(place: Place, view: StateView, block: int, point: Point) -> bool:
-    """Whether a block would be at a place at the point, and at all points `MARGIN` around it."""
+    """Whether a block would be at a place at all four points `MARGIN` away from a point."""
     points = np.repeat(np.array(view.blocks)[None], len(AROUND), axis=0)
     points[:, block] = point + AROUND
     return bool((place.remaining(view.scene, points)[:, block] <= 0.0).all())
 
 
 def _back(goal: Undisturbed, view: StateView, strategy: Strategy) -> list[Move]:
-    """Blocks that have left their regions back, others that have come out."""
+    """Moves that return blocks to the regions of the selected ones, and take others out."""
     moves, chosen = [], goal.selection.blocks(view.scene)
     for region in view.scene.regions:
         starts = {i for i, b in enumerate(view.scene.blocks) if region.contains(*b.pose[:2])}

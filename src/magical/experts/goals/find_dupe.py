@@ -1,4 +1,4 @@
-"""Goals of FindDupe: the query block and one like it inside, no others (appendix A.2.5)."""
+"""Goals of FindDupe: the query block and a duplicate inside, no others (appendix A.2.5)."""
 
 from magical.experts.goals._moves import moves_in, moves_out
 from magical.experts.planning import MovePlan, Planner, Strategy
@@ -7,7 +7,7 @@ from magical.tasks.find_dupe import alike
 
 
 def plan(view: StateView, strategy: Strategy, last: MovePlan) -> MovePlan:
-    """Bring in one of the duplicates, and the query block should it have left."""
+    """Bring in a duplicate, and the query block if it has left; take other blocks out."""
     region, query = view.scene.regions[0], len(view.blocks) - 1
     duplicates = sorted(alike(view.scene) - {query})
     inside = [i for i in duplicates if region.contains(*view.blocks[i])]

@@ -1,8 +1,8 @@
 """Goals of MakeLine: all blocks in one line, evenly spread (appendix A.2.4).
 
 Many lines are proposed: through each block in many directions, through two blocks that stay, and
-lines of all blocks but one that are continued. The cheapest are improved by leaving blocks that fit
-where they are, and the cheapest of these is made.
+extensions of lines that all blocks but one already form. The cheapest are improved by leaving
+blocks that fit where they are, and the cheapest of the results is made.
 """
 
 import math
@@ -22,7 +22,7 @@ Places = tuple[Point, ...]  # one for each block
 
 
 class LineLimits(NamedTuple):
-    """How well blocks must be in line; the score's limits less a margin, in units."""
+    """How exactly blocks must be in line: the score's limits less a margin, in units."""
 
     off_line: float  # from the line
     spacing: float  # between neighbours along it
@@ -30,22 +30,22 @@ class LineLimits(NamedTuple):
 
 MOVING = LineLimits(INLIER_DISTANCE - 0.04, NEIGHBOUR_DISTANCE - 0.02)  # tuned
 RESTING = LineLimits(INLIER_DISTANCE - 0.002, NEIGHBOUR_DISTANCE - 0.002)  # tuned
-MOVED_SLACK = LineLimits(0.05, 0.03)  # less, next to a block yet to come; tuned
-SPACING = 0.32  # units between neighbours that is aimed at; tuned
+MOVED_SLACK = LineLimits(0.05, 0.03)  # subtracted next to a block that is yet to come; tuned
+SPACING = 0.32  # units between neighbours to aim for; tuned
 DIRECTIONS = 16  # of lines through one block; for time
 IMPROVED = 24  # proposals that are improved; for time
 TOLERANCE = 0.08  # units; tuned
-TOLERANCE_SHARE = 0.5  # of a block's way that its tolerance is at most; tuned
-STILL = 0.005  # units yet to move up to which blocks count as resting
+TOLERANCE_SHARE = 0.5  # of a block's way: upper limit of its tolerance; tuned
+STILL = 0.005  # units left to move, up to which blocks count as resting
 
-# What a line is charged for besides its moves, in control steps.
+# Costs of a line in addition to its moves, in control steps.
 WALL_COST = 400.0  # per unit that a place is outside `ROBOT_LIMIT`; tuned
 ROOM_COST = 40.0  # per unit of missing room to other blocks; tuned
 PREFERENCE = 30.0  # between the most and the least preferred direction; tuned
 
 
 def plan(view: StateView, strategy: Strategy, last: MovePlan) -> MovePlan:
-    """Move all blocks to their places on the line that is made soonest."""
+    """Move all blocks to their places on the line that is quickest to make."""
     return plan_line(view, range(len(view.blocks)), strategy, last)
 
 
@@ -57,7 +57,7 @@ def is_solved(view: StateView) -> bool:
 def plan_line(
     view: StateView, chosen: Sequence[int], strategy: Strategy, last: MovePlan
 ) -> MovePlan:
-    """As `plan`, for the chosen blocks alone."""
+    """As `plan`, for the chosen blocks only."""
     blocks, resting = [view.blocks[i] for i in chosen], [view.resting_blocks[i] for i in chosen]
     if is_line_made(blocks, resting):
         return MovePlan()
@@ -73,7 +73,7 @@ def is_line_made(blocks: Sequence[Point], resting: Sequence[Point]) -> bool:
 
 
 def _moves(chosen: Sequence[int], blocks: Sequence[Point], places: Places) -> Iterator[Move]:
-    """Moves of the chosen blocks that do not stay; short ones are made more exactly."""
+    """Moves of the chosen blocks that do not stay; short moves have a smaller tolerance."""
     for i, place, block in zip(chosen, places, blocks, strict=True):
         if place != block:
             share = TOLERANCE_SHARE * math.dist(place, block)
@@ -83,7 +83,7 @@ def _moves(chosen: Sequence[int], blocks: Sequence[Point], places: Places) -> It
 def is_line(
     blocks: Sequence[Point], limits: LineLimits = MOVING, moved: Sequence[bool] | None = None
 ) -> bool:
-    """Whether all blocks are in line, even if those that are `moved` there miss it a little."""
+    """Whether all blocks are in line, even if those that are `moved` there miss it slightly."""
     moved = moved or [False] * len(blocks)
     pairs = combinations(range(len(blocks)), 2)
     return any(_is_line_through(i, j, blocks, limits, moved) for i, j in pairs)
@@ -110,7 +110,7 @@ def _is_line_through(
 
 
 def _best_places(blocks: Sequence[Point], strategy: Strategy, last: Places) -> Places:
-    """The cheapest line, the last one included so that plans do not change for nothing."""
+    """The cheapest line; the last one is included, so that plans do not change needlessly."""
     priced = ((_cost(places, blocks, strategy), places) for places in _proposals(blocks))
     lines = [places for _, places in nsmallest(IMPROVED, priced)]
     if len(last) == len(blocks):
@@ -120,7 +120,7 @@ def _best_places(blocks: Sequence[Point], strategy: Strategy, last: Places) -> P
 
 
 def _with_stayers(places: Places, blocks: Sequence[Point]) -> Places:
-    """The same line with the blocks that fit into it as they are left where they are."""
+    """The same line, with the blocks that already fit into it left where they are."""
     for i in sorted(range(len(blocks)), key=lambda i: math.dist(places[i], blocks[i])):
         stayed = (*places[:i], blocks[i], *places[i + 1 :])
         moved = [place != block for place, block in zip(stayed, blocks, strict=True)]
@@ -147,7 +147,7 @@ def _proposals(blocks: Sequence[Point]) -> Iterator[Places]:
 
 
 def _longer_by_one(blocks: Sequence[Point]) -> Iterator[Places]:
-    """Lines of all blocks but one as they are, with that one next to either end."""
+    """Lines that all blocks but one already form, with that one next to either end."""
     for i in range(len(blocks)):
         rest = (*blocks[:i], *blocks[i + 1 :])
         ends = max(combinations(rest, 2), key=lambda pair: math.dist(*pair), default=None)
@@ -182,7 +182,7 @@ def _through_two(blocks: Sequence[Point], i: int, j: int, gaps: int) -> Iterator
 
 
 def _cost(places: Places, blocks: Sequence[Point], strategy: Strategy) -> float:
-    """About how many control steps a line takes, and the cost of its direction."""
+    """Approximate control steps that a line takes, plus the cost of its direction."""
     cost = _direction_cost(places, strategy)
     for i, (place, block) in enumerate(zip(places, blocks, strict=True)):
         cost += WALL_COST * max(0.0, abs(place[0]) - ROBOT_LIMIT, abs(place[1]) - ROBOT_LIMIT)
@@ -193,7 +193,7 @@ def _cost(places: Places, blocks: Sequence[Point], strategy: Strategy) -> float:
 
 
 def _missing_room(i: int, places: Places, blocks: Sequence[Point]) -> float:
-    """Units that block i lacks to others where it is grasped and where it is released."""
+    """Units of room to other blocks that block i lacks where it is grasped and released."""
     missing = 0.0
     for j, other in enumerate(blocks):
         if j != i:
@@ -204,7 +204,7 @@ def _missing_room(i: int, places: Places, blocks: Sequence[Point]) -> float:
 
 
 def _direction_cost(places: Places, strategy: Strategy) -> float:
-    """Control steps that the direction of a line costs a strategy that prefers others."""
+    """Control steps that a line's direction costs under the strategy's preferences."""
     (x0, y0), (x1, y1) = places[0], places[-1]
     half_turns = math.atan2(y1 - y0, x1 - x0) % math.pi / math.pi
     index = int(half_turns * DIRECTIONS) % DIRECTIONS

@@ -6,4 +6,4 @@ from magical.experts.goals._programs import plan
 from magical.experts.planning import Planner
 from magical.tasks.match_regions import PROGRAM
 
-PLANNER = Planner(partial(plan, PROGRAM))  # not `program_planner`: it does not stop once solved
+PLANNER = Planner(partial(plan, PROGRAM))  # `program_planner` would stop once solved

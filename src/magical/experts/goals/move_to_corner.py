@@ -6,11 +6,11 @@ from magical.experts.planning import Move, MovePlan, Planner, Strategy
 from magical.experts.state_view import StateView
 from magical.tasks.move_to_corner import GOAL
 
-DONE = 0.64  # units from the corner that are near enough; below 0.707 scores
+DONE = 0.64  # units from the corner that are near enough; full score below 0.707
 GOAL_LIMIT = 0.82  # units: largest coordinate of a goal; tuned
 GOAL_RANGE = 0.25  # units from there, in each coordinate, over which goals vary; tuned
 TOLERANCE = 0.25  # units; tuned
-TOLERANCE_RANGE = 0.25  # units that are added at most; tuned
+TOLERANCE_RANGE = 0.25  # units added at most; tuned
 
 
 def plan(view: StateView, strategy: Strategy, last: MovePlan) -> MovePlan:

@@ -7,8 +7,8 @@ from magical.experts.state_view import StateView
 
 DONE = 0.06  # units inside the edge: deep enough to stay inside; tuned
 DEPTH = 0.09  # units inside the edge where the move ends; tuned
-DEPTH_RANGE = 0.15  # units that are added at most; tuned
-OVERSHOOT = 0.05  # units from there to the goal, so that it does not stop short; tuned
+DEPTH_RANGE = 0.15  # units added at most; tuned
+OVERSHOOT = 0.05  # units from there to the goal, so that the robot does not stop short; tuned
 TOLERANCE = 0.06  # units; tuned
 
 
@@ -26,7 +26,7 @@ def plan(view: StateView, strategy: Strategy, last: MovePlan) -> MovePlan:
 def _reachable(coordinate: float) -> float:
     """The nearest coordinate at which the open fingers do not meet a wall.
 
-    Driving on at a wall would look like being stuck, and the robot would back out of the region.
+    Pushing against a wall would look like being stuck, and the robot would back out of the region.
     """
     return min(max(coordinate, -FACING_LIMIT), FACING_LIMIT)
 

@@ -1,8 +1,8 @@
-"""The algorithms, a file each; the file's name is the algorithm's (`_` for `-`).
+"""The algorithms, one per file, named after the algorithm (with `_` for `-`).
 
-Such a file has a configuration class, `train(config, run)`, `make_policy(config)` and at its end
-`ALGORITHM = Algorithm(...)`. Those of other distributions are found by entry points of the group
-`magical.algorithms`, and any other by `module:NAME`.
+Each file has a configuration class, `train(config, run)`, `make_policy(config)` and, at its end,
+`ALGORITHM = Algorithm(...)`. Algorithms of other distributions are found through the entry-point
+group `magical.algorithms`, and any other by `module:NAME`.
 """
 
 from collections.abc import Callable
@@ -26,15 +26,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Algorithm:
-    """What a file of this folder offers.
+    """What the file of an algorithm provides.
 
     Attributes:
         config: the configuration class.
         train: called as `train(config, run)`; trains, logs, and saves checkpoints whose entry
             `policy` is the state dict of the module that `make_policy` returns.
         make_policy: a function from the configuration to a module that maps observations (B, ...)
-            and tasks (B,) to logits (B, 18), or to what `policy` takes.
-        policy: the kind of policy that acts by this module; `None` for `NetworkPolicy`.
+            and tasks (B,) to logits (B, 18), or to whatever `policy` expects.
+        policy: the class of the policy that acts with this module; `None` for `NetworkPolicy`.
     """
 
     config: type[Config]
@@ -47,7 +47,7 @@ _ALGORITHMS = Registry("algorithm", Algorithm, "magical.algorithms", __name__, "
 
 
 def algorithm_names() -> list[str]:
-    """Every algorithm, of this and of other distributions, alphabetically; imports none."""
+    """The names of all algorithms, including other distributions', sorted; imports none."""
     return _ALGORITHMS.names()
 
 
@@ -55,8 +55,8 @@ def find_algorithm(name: str) -> Algorithm:
     """An algorithm by name, or by `module:NAME`.
 
     Raises:
-        UnknownNameError: there is none of this name.
-        PluginError: it is another distribution's and cannot be imported.
+        UnknownNameError: there is no algorithm of this name.
+        PluginError: the algorithm is a plugin that cannot be imported, or is not an `Algorithm`.
         MissingDependencyError: PyTorch is not installed.
     """
     if ":" in name or name in algorithm_names():
@@ -67,12 +67,13 @@ def find_algorithm(name: str) -> Algorithm:
 def read_config(folder: Path | str) -> Config:
     """The configuration recorded in a run folder.
 
-    It may name modules of others, which are not imported from the working folder on its word.
+    The record may name third-party modules, which are only imported if they are installed or the
+    user has already imported them.
 
     Raises:
-        RunFolderError: the record is missing, damaged, or names an algorithm or a module that is
-            not installed.
-        InvalidConfigError: its settings cannot be.
+        RunFolderError: the record is missing, damaged, or names an unknown algorithm.
+        PluginError: the record names a module that is not installed.
+        InvalidConfigError: the settings are invalid.
     """
     path = Path(folder) / CONFIG
     if not is_run(folder):

@@ -3,20 +3,20 @@
 Source: Zhao et al., "Learning fine-grained bimanual manipulation with low-cost hardware", RSS 2023.
 An encoder attends over the positions of a convolutional feature map, the task and a style variable
 z; a decoder turns one query for each step into a chunk of actions. In training, z is sampled by the
-encoder of a conditional variational autoencoder, which sees the demonstrated chunk; a policy has
-z = 0. The chunks that predict a step are averaged (temporal ensembling).
+encoder of a conditional variational autoencoder, which sees the demonstrated chunk; a policy acts
+with z = 0. All chunks that predict a step are averaged (temporal ensembling).
 
-What differs: the convolutions are those of one of this package's networks, trained from scratch,
-instead of a pre-trained ResNet; a linear layer adds to the chunk what it makes of that network's
-features, as in behavioural cloning, without which the transformers learn too slowly; they are
-smaller (2 layers of the encoder and 1 of the others instead of 4 and 7, 64 features instead of 512)
-and normalise before each layer instead of after it; positions are learnt; neither network sees the
-robot's state; the learning rate is annealed to 0. Discrete actions are predicted as logits, by
-cross-entropy; continuous ones by the L1 loss, as published.
+What differs: the convolutions are from one of this package's networks, trained from scratch,
+instead of a pre-trained ResNet; a linear layer on that network's features, as in behavioural
+cloning, is added to the chunk, without which the transformers learn too slowly; they are smaller
+(2 layers in the encoder and 1 in the others instead of 4 and 7, 64 features instead of 512) and
+normalise before each layer instead of after it; positions are learnt; neither network sees the
+robot's state; the learning rate is annealed to 0. Discrete actions are predicted as logits and
+trained with the cross-entropy, continuous ones with the L1 loss, as published.
 
-The published actions are positions of joints, whose mean lies between them. Those of this benchmark
-are like velocities: drive, turn, grip. Where chunks disagree about when the robot should turn, the
-mean of their predictions is right at no moment, so `quick` has no temporal ensembling.
+The published actions are joint positions, whose mean lies between them. The actions of this
+benchmark are like velocities: drive, turn, grip. If chunks disagree about when the robot should
+turn, the mean of their predictions is never right, so `quick` has no temporal ensembling.
 """
 
 import math
@@ -79,7 +79,7 @@ class ACTConfig(ChunkConfig):
 
 
 class ACTNetwork(nn.Module):
-    """Images (B, C, H, W) in [0, 1] and tasks (B,) to chunks (B, K, D)."""
+    """Maps images (B, C, H, W) in [0, 1] and tasks (B,) to chunks (B, K, D)."""
 
     def __init__(self, config: ACTConfig) -> None:
         super().__init__()
@@ -102,7 +102,7 @@ class ACTNetwork(nn.Module):
         self.from_style = nn.Linear(LATENT_SIZE, WIDTH) if config.kl_weight else None
 
     def forward(self, images: Tensor, tasks: Tensor, z: Tensor | None = None) -> Tensor:
-        """Chunks, with the style variable z (B, LATENT_SIZE), by default 0."""
+        """Predict chunks, given the style variable z (B, LATENT_SIZE), by default 0."""
         feature_map = self.trunk.feature_map(images)
         positions = feature_map.reshape(len(images), self.trunk.map_shape[0], -1).mT  # (B, P, C)
         tokens = [self.projection(positions) + self.positions, self.task(tasks)[:, None]]
@@ -117,32 +117,32 @@ class ACTNetwork(nn.Module):
 
 
 class StyleEncoder(nn.Module):
-    """Mean and log-variance (B, LATENT_SIZE) of z, from the demonstrated chunk."""
+    """Predicts mean and log-variance (B, LATENT_SIZE) of z from the demonstrated chunk."""
 
     def __init__(self, action_size: int, length: int) -> None:
         super().__init__()
         self.action_size = action_size
         self.projection = nn.Linear(action_size, WIDTH)
-        self.summary = _learnt(1, WIDTH)  # the token CLS, whose output is used
+        self.summary = _learnt(1, WIDTH)  # the CLS token, whose output is used
         self.positions = _learnt(length, WIDTH)
         self.encoder = _encoder(LAYERS["style"])
         self.moments = nn.Linear(WIDTH, 2 * LATENT_SIZE)
 
     def forward(self, batch: Chunks) -> tuple[Tensor, Tensor]:
-        """See above."""
+        """See the class."""
         actions = batch.actions
         if not actions.is_floating_point():
             actions = functional.one_hot(actions, self.action_size).float()
         tokens = self.projection(actions) + self.positions
         summary = self.summary.expand(len(tokens), -1, -1)
-        padding = functional.pad(~batch.exist, (1, 0))  # the summary exists
+        padding = functional.pad(~batch.exist, (1, 0))  # the summary is never padding
         encoded = self.encoder(torch.cat([summary, tokens], dim=1), src_key_padding_mask=padding)
         mean, log_variance = self.moments(encoded[:, 0]).float().chunk(2, dim=1)
         return mean, log_variance
 
 
 def act_losses(network: ACTNetwork, batch: Chunks) -> dict[str, Tensor]:
-    """The loss to be minimised and its two parts: of the actions that exist, and of z."""
+    """The loss to be minimised and its two parts, for the actions that exist and for z."""
     z, kl = None, torch.zeros(())
     if network.style is not None:
         mean, log_variance = network.style(batch)
@@ -158,12 +158,12 @@ def act_losses(network: ACTNetwork, batch: Chunks) -> dict[str, Tensor]:
 
 
 def kl_divergence(mean: Tensor, log_variance: Tensor) -> Tensor:
-    """KL divergence (B,) of normal distributions (B, size) from N(0, 1)."""
+    """KL divergence (B,) of diagonal normal distributions (B, size) from N(0, 1)."""
     return 0.5 * (mean.square() + log_variance.exp() - 1.0 - log_variance).sum(dim=1)
 
 
 class ACTPolicy(ChunkPolicy):
-    """Averages the predictions of all chunks, unless there is no temporal ensembling."""
+    """Averages the predictions of all chunks if temporal ensembling is on."""
 
     config: ACTConfig
 
@@ -192,7 +192,7 @@ def _encoder(layers: int) -> nn.TransformerEncoder:
 
 
 def _learnt(count: int, size: int) -> nn.Parameter:
-    """Positions or queries, initialised as the published code's embeddings."""
+    """Learnt positions or queries, initialised like the published code's embeddings."""
     return nn.Parameter(torch.randn(count, size))
 
 

@@ -2,8 +2,8 @@
 
 First an autoencoder is trained on the expert's samples; its encoder phi is then frozen. Each update
 
-1. collects a rollout with the present policy (the novice) and adds it to a replay buffer;
-2. computes the weights w that best separate the mean features of expert and novice, in closed form;
+1. collects a rollout with the current policy (the novice) and adds it to a replay buffer;
+2. computes in closed form the weights w that best separate the mean features of expert and novice;
 3. updates the policy by PPO with the normalised reward w^T phi(s, a).
 """
 
@@ -38,15 +38,15 @@ from magical.learning.settings import POSITIVE, option
 
 AUTOENCODER_INIT = 1  # number of the initialisation; the policy's is 0
 WEIGHT_NORM = 2.0  # of w (appendix B, equation 1)
-SMALLEST_ERROR = 1e-6  # of the mean image; where all images are equal it is 0
-RIDGE = 1e-3  # of the features' mean variance, added to each one's in `discriminant_weights`
+SMALLEST_ERROR = 1e-6  # least error of the mean image; if all images are equal it is 0
+RIDGE = 1e-3  # share of the mean feature variance that `discriminant_weights` adds to each variance
 LOG_EVERY = 50  # batches of pretraining
 NUM_RECONSTRUCTIONS = 10  # frames in the picture
 PICTURE = "reconstructions.png"
-PASSED = 12  # samples, each of expert and novice, that the published code passes in training mode
+PASSED = 12  # samples each of expert and novice that the published code encodes in training mode
 STATISTICS_BATCHES = 60
 REFINED = "refined"
-CHUNK = 64  # samples per forward pass without gradients and batch statistics
+CHUNK = 64  # samples per forward pass without gradients or batch statistics
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,12 +121,12 @@ class ALConfig(ReinforcementConfig):
 
     @property
     def num_updates(self) -> int:
-        """The batches of pretraining and the updates of the policy."""
+        """The number of pretraining batches and policy updates."""
         return self.pretraining_batches + self.ppo.num_updates
 
     @property
     def training_samples(self) -> int:
-        """Those of the autoencoder, with a decoder as large as the encoder, and of the policy."""
+        """The samples of the autoencoder, twice because of the decoder, and of the policy."""
         pretraining = self.pretraining_batches * self.pretraining_batch_size
         return 2 * pretraining + super().training_samples
 
@@ -198,9 +198,9 @@ def pretraining_step(
     number: int,
     scale: float = 1.0,
 ) -> dict[str, Tensor]:
-    """Take the optimiser's step on batch `number`; returns the parts of the loss.
+    """Take an optimiser step on batch `number`; returns the parts of the loss, unscaled.
 
-    The image error is divided by `scale` first.
+    The loss is the image error, divided by `scale`, plus the action loss.
     """
     left = 1.0 - number / config.pretraining_batches if config.refined else 1.0
     set_learning_rate(optimizer, config.pretraining_learning_rate * left)
@@ -218,7 +218,7 @@ def pretraining_step(
 
 
 def mean_image(expert: ExpertData) -> tuple[Tensor, float]:
-    """The mean (C, H, W) of the expert's images, and its mean squared error."""
+    """The mean (C, H, W) of the expert's images, and its mean squared error, at least 1e-6."""
     chunks = np.array_split(np.arange(len(expert)), -(-len(expert) // CHUNK))
     total = sum(to_unit(expert.images(rows)).sum(dim=0) for rows in chunks)
     mean = torch.as_tensor(total / len(expert))
@@ -229,7 +229,7 @@ def mean_image(expert: ExpertData) -> tuple[Tensor, float]:
 def compute_statistics(
     config: ALConfig, compute: Compute, expert: ExpertData, autoencoder: Autoencoder
 ) -> None:
-    """Replace batch norm's running statistics by means over unaugmented expert batches."""
+    """Replace batch norm's running statistics with means over unaugmented expert batches."""
     rng = stream(config.seed, Purpose.PRETRAINING, config.pretraining_batches)
     with new_statistics(autoencoder), compute.autocast():
         for _ in range(STATISTICS_BATCHES):
@@ -240,7 +240,7 @@ def compute_statistics(
 def imitate(
     config: ALConfig, run: Run, ppo: PPOTrainer, expert: ExpertData, autoencoder: Autoencoder
 ) -> None:
-    """Compute w and update the policy, in alternation."""
+    """Alternate between computing w and updating the policy."""
     replay_buffer = ReplayBuffer(ROLLOUTS, ppo.envs.task_of)
     normaliser = RewardNormaliser(1, config.reward_std, reward_floor(config.networks))
     normaliser.to(ppo.device)
@@ -270,7 +270,7 @@ def imitate(
             batch = sample_batch(config, expert, replay_buffer, rng)
             chunks = zip(*(torch.split(part, CHUNK) for part in batch), strict=True)
             features = torch.cat([encode(images, actions) for images, actions in chunks])
-            if config.networks.published:  # batch norm's statistics follow the novice's images
+            if config.networks.published:  # batch norm's statistics adapt to the novice's images
                 autoencoder.train()
                 encode(*(torch.cat([p[:PASSED] for p in part.chunk(2)]) for part in batch))
                 autoencoder.eval()
@@ -291,7 +291,7 @@ def imitate(
 def sample_batch(
     config: ALConfig, expert: ExpertData, replay_buffer: ReplayBuffer, rng: np.random.Generator
 ) -> tuple[Tensor, Tensor]:
-    """Images and actions that w is computed from: the expert's, followed by as many novice's."""
+    """Images and actions to compute w from: the expert's, then as many of the novice's."""
     rows = expert.sample_counts([config.feature_samples], rng)
     novice_images, novice_actions, _ = replay_buffer.sample([config.feature_samples], rng)
     images = torch.cat([expert.images(rows), novice_images])
@@ -302,7 +302,7 @@ def sample_batch(
 def feature_weights(expert: Tensor, novice: Tensor) -> tuple[Tensor, Tensor]:
     """Maximise w^T (mean expert - mean novice) over |w|_2 <= 2, for features (B, 32) of each.
 
-    By Cauchy-Schwarz w is parallel to the difference of the means; it is 0 if there is none.
+    By Cauchy-Schwarz, w is parallel to the difference of the means; it is 0 if the means are equal.
 
     Returns:
         w (32,) and the maximum, a scalar.
@@ -316,10 +316,9 @@ def feature_weights(expert: Tensor, novice: Tensor) -> tuple[Tensor, Tensor]:
 def discriminant_weights(expert: Tensor, novice: Tensor) -> tuple[Tensor, Tensor]:
     """Maximise w^T (mean expert - mean novice) over w^T C w <= 4, for features (B, 32) of each.
 
-    C is the mean of the two covariance matrices, so that w is Fisher's linear discriminant. Unlike
-    with |w|_2 <= 2, features with a large spread do not hide the others: w^T phi is the same for
-    every invertible linear map of the features, but for a small multiple of the identity that is
-    added to C.
+    C is the mean of the two covariance matrices, so w is Fisher's linear discriminant. Unlike with
+    |w|_2 <= 2, features with a large spread do not mask the others: except for a small multiple of
+    the identity that is added to C, w^T phi is invariant to invertible linear maps of the features.
 
     Returns:
         w (32,) and the maximum, a scalar.

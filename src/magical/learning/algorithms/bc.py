@@ -54,7 +54,7 @@ from magical.runs.folder import CHECKPOINT
 from magical.runs.sources import EXTRA_DATA, PRETRAINED_ON, RENDERED_STATES
 
 ADAM_BETA_2 = 0.999
-STATISTICS_BATCHES = 50  # that batch norm's statistics of averaged weights are from
+STATISTICS_BATCHES = 50  # batches that give the averaged weights their batch-norm statistics
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -156,7 +156,7 @@ class BCConfig(Config):
 
     @property
     def num_updates(self) -> int:
-        """All batches."""
+        """The number of batches."""
         return self.cloning.batches
 
     @property
@@ -171,7 +171,7 @@ class BCConfig(Config):
 
 
 def _check_vectors(cloning: CloningSettings) -> None:
-    """Raise `InvalidConfigError` for what state vectors cannot be learned with."""
+    """Raise `InvalidConfigError` for settings that do not work with state vectors."""
     what = "state vectors are not"
     if cloning.augment_by == RENDERING:
         problem = f"augment_by: {what} rendered, so auto or resampling is expected"
@@ -230,12 +230,12 @@ class BCTrainer:
 
     @property
     def policy(self) -> nn.Module:
-        """What is evaluated: the network, or with `average_decay` its average over the batches."""
+        """The evaluated module: the network or, with `average_decay`, its moving average."""
         module: nn.Module = self._average.module if self._average else self.network
         return module
 
     def expert_data(self, demonstrations: TaskTrajectories, remove_noops: bool) -> ExpertData:
-        """The samples of demonstrations, on the trainer's device; raises as `choose_image_data`."""
+        """The demonstrations' samples, on the trainer's device; raises as `choose_image_data`."""
         config, cloning, kind = self.config, self.config.cloning, ExpertData
         if not config.observes_vectors:
             names = cloning.transformations
@@ -255,9 +255,9 @@ class BCTrainer:
         extra_metrics: Mapping[str, float] = {},
         extra_state: Mapping[str, Any] = {},
     ) -> bool:
-        """Train on `data` from the run's step until step `until`; true if the run stops before.
+        """Train on `data` from the run's step to step `until`; true if the run stops early.
 
-        The extras are logged with the metrics and saved with the checkpoints.
+        The extras are logged with the metrics and saved in the checkpoints.
         """
         config, run = self.config, self.run
         self.network.train()
@@ -281,7 +281,7 @@ class BCTrainer:
         return False
 
     def _renew_statistics(self, data: ExpertData, done: int) -> None:
-        """Batch norm's statistics of the averaged weights, from the last batches."""
+        """Recompute batch norm's statistics for the averaged weights, from the last batches."""
         numbers = range(max(0, done - STATISTICS_BATCHES), done)
         make = partial(self.sample_batch, data)
         self.policy.train()
@@ -295,7 +295,7 @@ class BCTrainer:
         self.policy.eval()
 
     def sample_batch(self, data: ExpertData, number: int) -> Batch:
-        """Batch `number`: a function of the data, the seed and the number alone."""
+        """Batch `number`: depends only on the data, the seed and the number."""
         rng = stream(self.config.seed, Purpose.BATCHES, number)
         config, cloning = self.config, self.config.cloning
         rows = data.sample(cloning.batch_size, rng)
@@ -307,7 +307,7 @@ class BCTrainer:
         return Batch(images, transformed.labels(actions), tasks)
 
     def step(self, batch: Batch, learning_rate: float) -> tuple[Tensor, Tensor]:
-        """Take one step of the optimiser; returns the loss and the logits (B, 18)."""
+        """Take one optimiser step; returns the loss and the logits (B, 18)."""
         set_learning_rate(self.optimizer, learning_rate)
         with self.compute.autocast():
             logits = self.network(batch.images, batch.tasks)
@@ -320,7 +320,7 @@ class BCTrainer:
         return loss.detach(), logits.detach()
 
     def _state_dict(self, data: ExpertData, done: int, extra: Mapping[str, Any]) -> StateDict:
-        """The state of network and optimiser after so many batches of the data."""
+        """The state of network and optimiser after `done` batches of the data."""
         averaged = {}
         if self._average:
             self._renew_statistics(data, done)
@@ -347,11 +347,11 @@ def make_policy(config: BCConfig) -> PolicyNetwork:
 
 
 def load_pretrained(trunk: Trunk, config: BCConfig, run: Run) -> None:
-    """Load the trunk of the run `init_from`, and record the tasks that it learned in `run.json`.
+    """Load the trunk of the run `init_from`, and record that run's tasks in `run.json`.
 
     Raises:
-        InvalidConfigError: no run of bc from its own initialisation, or of another observation
-            or conventions.
+        InvalidConfigError: not a run of bc, one that was itself fine-tuned, or one with another
+            observation or other conventions.
         RunFolderError, CheckpointError: a damaged run, or one of another network.
     """
     folder = Path(config.init_from)

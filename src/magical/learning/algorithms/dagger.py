@@ -1,7 +1,8 @@
 """DAgger: dataset aggregation, with the scripted experts as demonstrators.
 
-Ross, Gordon and Bagnell, "A reduction of imitation learning and structured prediction to no-regret
-online learning", AISTATS 2011. Round 0 is behavioural cloning of the demonstrations. Round i
+Source: Ross, Gordon and Bagnell, "A reduction of imitation learning and structured prediction to
+no-regret online learning", AISTATS 2011. Round 0 is behavioural cloning of the demonstrations. Each
+later round i
 
 1. collects episodes in which each action is the expert's with probability beta_i = decay^i and
    otherwise the policy's; the expert labels every state;
@@ -9,8 +10,8 @@ online learning", AISTATS 2011. Round 0 is behavioural cloning of the demonstrat
 3. continues behavioural cloning on everything labelled so far.
 
 The run folder's `aggregate` is an ordinary dataset of the episodes, with the labels as their
-`expert_actions`. There are no published settings for these
-tasks; `paper` has behavioural cloning's (Table 3), its 20,000 batches split between the rounds.
+`expert_actions`. There are no published settings for these tasks; `paper` has those of behavioural
+cloning (Table 3), its 20,000 batches split between the rounds.
 """
 
 from collections.abc import Mapping, Sequence
@@ -63,7 +64,7 @@ class DAggerConfig(BCConfig):
     algorithm: str = "dagger"
     cloning: CloningSettings = field(
         default_factory=partial(CloningSettings, batches=2_000)
-    )  # of a round
+    )  # per round
     rounds: int = option(
         10, "rounds, each of `batches` batches; all but the first collect episodes", POSITIVE
     )
@@ -107,12 +108,12 @@ class DAggerConfig(BCConfig):
 
     @property
     def env_ids(self) -> list[EnvId]:
-        """The environments of a round, one per episode; a task uses those variants it has."""
+        """The environments of a round, one per episode; each task uses the variants that it has."""
         found = [environments([task], self.variants) for task in self.tasks]
         return [ids[i % len(ids)] for ids in found for i in range(self.episodes)]
 
     def beta(self, number: int) -> float:
-        """The probability of the expert's actions in a round; 1 for the demonstrations."""
+        """The probability of taking the expert's action in a round; 1 for the demonstrations."""
         return float(self.beta_decay**number)
 
 
@@ -120,7 +121,7 @@ def train(config: DAggerConfig, run: Run) -> None:
     """Alternate between collecting labelled episodes and behavioural cloning."""
     demonstrations = load_demonstrations(config, run)
     trainer = BCTrainer(config, run)
-    cloning = config.cloning  # refused before the folder has episodes
+    cloning = config.cloning  # checked before the folder has episodes
     choose_image_data(demonstrations, run, cloning.augment_by, cloning.transformations)
     aggregated = AggregatedDataset(config, run)
     if run.step == config.num_updates:
@@ -148,16 +149,16 @@ def train(config: DAggerConfig, run: Run) -> None:
 def collect_labelled(
     envs: MagicalVectorEnv, policy: Policy, beta: float, rng: np.random.Generator, **remarks: Any
 ) -> list[Trajectory]:
-    """Collect one episode in every environment, labelled by an expert of its own.
+    """Collect one episode in each environment, labelled by its own expert.
 
-    The expert observes the episode from the start; where the policy does something else, it takes
-    over from the next state.
+    The expert follows the episode from the start; after a different action of the policy, it
+    continues from the resulting state.
 
     Args:
         envs: one for each episode, without automatic resets.
-        policy: acts, except where the expert does.
-        beta: the probability, at each step, that the expert's action is taken.
-        rng: also determines the scenes, which are never those of evaluation.
+        policy: acts whenever the expert does not.
+        beta: the probability of taking the expert's action at each step.
+        rng: also determines the scenes, which are never scenes of evaluations.
         **remarks: added to the metadata.
 
     Raises:
@@ -198,7 +199,7 @@ def _act(
     beta: float,
     rng: np.random.Generator,
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
-    """Actions taken (T, N), the experts' (T, N), and poses (T + 1, N, max bodies, 3)."""
+    """The actions taken (T, N), the experts' (T, N), and poses (T + 1, N, max bodies, 3)."""
     poses, taken, labels = [envs.bodies[0][:, :, :3].copy()], [], []
     active = np.ones(envs.num_envs, np.bool_)
     while active.any():
@@ -244,13 +245,13 @@ def train_round(
 
 
 class AggregatedDataset:
-    """The labelled episodes of a run on disk, in order of their rounds."""
+    """The labelled episodes of a run on disk, in the order of their rounds."""
 
     def __init__(self, config: DAggerConfig, run: Run) -> None:
         """Create or open the dataset.
 
         Raises:
-            RunFolderError: its episodes are not those that the checkpoint was trained on.
+            RunFolderError: the episodes are not those that the checkpoint was trained on.
         """
         self._per_round = len(config.env_ids)
         self.folder = run.folder / AGGREGATE
@@ -260,8 +261,8 @@ class AggregatedDataset:
         self._dataset = Dataset.open(self.folder)
         with restoring(run.folder):
             expected = list(run.saved["aggregate"]) if run.saved else []
-        # One more round may be there, whole or in part, if the run ended while it was collected;
-        # and another one, if the run is resumed from the previous checkpoint.
+        # There may be one more round, complete or partial, if the run ended while collecting it,
+        # and yet another one if the run is resumed from the previous checkpoint.
         at_most = self._per_round * min(run.step // config.cloning.batches + 1, config.rounds - 1)
         found = [entry.sha256 for entry in self._dataset.entries]
         if found[: len(expected)] != expected or len(found) > at_most:
@@ -277,13 +278,13 @@ class AggregatedDataset:
         return len(self._dataset) // self._per_round
 
     def add_round(self, episodes: Sequence[Trajectory]) -> None:
-        """Store the episodes of a round, except those that were stored before an interruption."""
+        """Store the episodes of a round, except those already stored before an interruption."""
         for episode in episodes[len(self._dataset) % self._per_round :]:
             self._writer.append(episode)
         self._dataset = Dataset.open(self.folder)
 
     def until(self, number: int) -> Dataset:
-        """The episodes of rounds 1 to `number`; later rounds may be stored already."""
+        """The episodes of rounds 1 to `number`; later rounds may already be stored."""
         return self._dataset[: number * self._per_round]
 
 

@@ -6,11 +6,11 @@ network predicts a chunk of demonstrated actions from a noisy one, given the fra
 from noise, removes it in a few steps, and executes the first half of the chunk.
 
 What differs: the network predicts the actions instead of the noise in them (an option of the
-published code), which takes fewer batches to learn; the encoder of images is one of this package's
+published code), which takes fewer batches to learn; the image encoder is one of this package's
 networks instead of a ResNet with a spatial softmax; the denoiser is smaller, and its residual
-blocks keep the chunk's length instead of halving and doubling it, as chunks are short; the policy
-is not an average of the weights, but the learning rate is annealed to 0; the robot's state is not
-given. Beyond a demonstration's end its last action is repeated and learned, as published: the
+blocks keep the chunk's length instead of halving and doubling it, as chunks are short; instead of
+averaging the weights for the policy, the learning rate is annealed to 0; the robot's state is not
+an input. Beyond a demonstration's end, its last action is repeated and learned, as published: the
 denoiser sees these steps, too.
 """
 
@@ -72,9 +72,9 @@ class DiffusionConfig(ChunkConfig):
 
 
 class DiffusionNetwork(nn.Module):
-    """Images (B, C, H, W) in [0, 1], tasks (B,) and noise (B, K, 3) to chunks (B, K, 3)."""
+    """Maps images (B, C, H, W) in [0, 1], tasks (B,) and noise (B, K, 3) to chunks (B, K, 3)."""
 
-    alphas: Tensor  # (T,) the cumulative products: the signal's share of the variance
+    alphas: Tensor  # (T,) cumulative products: the signal's share of the variance
 
     def __init__(self, config: DiffusionConfig) -> None:
         super().__init__()
@@ -85,12 +85,12 @@ class DiffusionNetwork(nn.Module):
         self.register_buffer("alphas", cosine_schedule(NOISE_LEVELS), persistent=False)
 
     def features(self, images: Tensor, tasks: Tensor) -> Tensor:
-        """What the denoiser is conditioned on: (B, features)."""
+        """The features (B, F) that the denoiser is conditioned on."""
         features: Tensor = self.trunk(images) + self.task(tasks)
         return features
 
     def forward(self, images: Tensor, tasks: Tensor, noise: Tensor) -> Tensor:
-        """Remove the noise in steps of DDIM."""
+        """Remove the noise in DDIM steps."""
         features, noisy = self.features(images, tasks), noise
         levels = torch.linspace(NOISE_LEVELS - 1, 0, self.denoising_steps).round().long()
         for step, level in enumerate(levels):
@@ -104,7 +104,7 @@ class DiffusionNetwork(nn.Module):
 
 
 class Denoiser(nn.Module):
-    """Chunks (B, K, 3) without noise, of noisy ones, their levels (B,) and features (B, F)."""
+    """Predicts chunks (B, K, 3) from noisy ones, their noise levels (B,) and features (B, F)."""
 
     def __init__(self, num_features: int) -> None:
         super().__init__()
@@ -116,7 +116,7 @@ class Denoiser(nn.Module):
         self.last = nn.Conv1d(CHANNELS, ACTION_SIZE, 1)
 
     def forward(self, noisy: Tensor, levels: Tensor, features: Tensor) -> Tensor:
-        """See above."""
+        """See the class."""
         condition = torch.cat([features, self.level(_sinusoidal(levels, features))], dim=1)
         hidden = self.first(noisy.mT)
         for block in self.blocks:
@@ -134,7 +134,7 @@ class _Block(nn.Module):
         self.scale_and_shift = nn.Linear(num_conditions, 2 * CHANNELS)
 
     def forward(self, hidden: Tensor, condition: Tensor) -> Tensor:
-        """Change hidden features (B, CHANNELS, K)."""
+        """Transform hidden features (B, CHANNELS, K)."""
         film = self.scale_and_shift(functional.mish(condition))[:, :, None]
         scale, shift = film.chunk(2, dim=1)
         change: Tensor = self.second(self.first(hidden) * (1.0 + scale) + shift)
@@ -150,7 +150,7 @@ def _convolution() -> nn.Sequential:
 
 
 def _sinusoidal(levels: Tensor, like: Tensor) -> Tensor:
-    """Sines and cosines (B, EMBEDDING_SIZE) of levels (B,), of periods up to 10,000 * 2 pi."""
+    """Sines and cosines (B, EMBEDDING_SIZE) of levels (B,), with periods up to 10,000 * 2 pi."""
     half = EMBEDDING_SIZE // 2
     rates = torch.exp(torch.arange(half, device=like.device) * (-math.log(10_000.0) / (half - 1)))
     angles = levels.to(like.device)[:, None] * rates
@@ -178,7 +178,7 @@ def diffusion_losses(network: DiffusionNetwork, batch: Chunks) -> dict[str, Tens
 
 
 class DiffusionPolicy(ChunkPolicy):
-    """Samples a chunk by denoising noise of the rollout's own random stream."""
+    """Samples a chunk by denoising noise from the rollout's own random stream."""
 
     config: DiffusionConfig
 

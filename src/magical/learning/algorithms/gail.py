@@ -5,12 +5,12 @@ Source: appendix B, Table 4; docs/specification.md, section 10. Single- and mult
 A discriminator D is trained to tell the expert's observations and actions from the novice's; PPO
 maximises the reward log D(s, a). One iteration:
 
-1. collect a rollout with the present policy (the novice);
-2. compute its rewards with the present discriminator, normalised by running statistics;
+1. collect a rollout with the current policy (the novice);
+2. compute its rewards with the current discriminator, normalised by running statistics;
 3. update the policy by PPO with these rewards;
 4. add the rollout to the replay buffer;
-5. take some optimiser steps on the discriminator's loss, on batches of which one half is sampled
-   from the demonstrations and the other from the replay buffer.
+5. take some optimiser steps on the discriminator's loss, with one half of each batch sampled from
+   the demonstrations and the other from the replay buffer.
 """
 
 from collections.abc import Callable, Mapping
@@ -65,7 +65,7 @@ class DiscriminatorSettings(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class AdversarialConfig(ReinforcementConfig):
-    """What the configurations of the algorithms with a discriminator are composed of."""
+    """Base of the configurations of algorithms with a discriminator."""
 
     demonstrations: DemonstrationSettings
     discriminator: DiscriminatorSettings = field(default_factory=DiscriminatorSettings)
@@ -76,12 +76,12 @@ class AdversarialConfig(ReinforcementConfig):
 
     @property
     def discriminator_samples(self) -> int:
-        """Those of all batches of the discriminator."""
+        """The samples of all batches of the discriminator."""
         return self.num_updates * self.discriminator.steps * self.discriminator.batch_size
 
     @property
     def training_samples(self) -> int:
-        """Those of the policy and of the discriminator."""
+        """The samples of the policy and of the discriminator."""
         return super().training_samples + self.discriminator_samples
 
 
@@ -108,9 +108,9 @@ def train(config: GAILConfig, run: Run) -> None:
 
 
 class DiscriminatorBatch(NamedTuple):
-    """B samples of the expert, followed by B of the novice."""
+    """B samples from the expert, followed by B from the novice."""
 
-    images: Tensor  # (2B, C, H, W), as they are stored, or float32 in [0, 1]
+    images: Tensor  # (2B, C, H, W), as stored, or float32 in [0, 1]
     actions: Tensor  # (2B,) int64
     tasks: Tensor  # (2B,) int64
 
@@ -120,7 +120,7 @@ class DiscriminatorBatch(NamedTuple):
         return len(self.images) // 2
 
 
-# Discriminator, batch, random numbers -> the loss to be minimised, and what is logged beside it.
+# Discriminator, batch, random numbers -> the loss to be minimised, and other values to log.
 Loss = Callable[[Discriminator, DiscriminatorBatch, Randoms], tuple[Tensor, dict[str, Tensor]]]
 RewardFn = Callable[[Tensor], Tensor]  # logits -> rewards of the same shape
 
@@ -128,7 +128,7 @@ RewardFn = Callable[[Tensor], Tensor]  # logits -> rewards of the same shape
 def gail_loss(
     discriminator: Discriminator, batch: DiscriminatorBatch, randoms: Randoms
 ) -> tuple[Tensor, dict[str, Tensor]]:
-    """Mean binary cross-entropy of the logits, expert labelled 1, novice 0: to be minimised."""
+    """Mean binary cross-entropy of the logits (expert 1, novice 0): to be minimised."""
     logits = discriminator(batch.images, batch.actions, batch.tasks).float()  # (2B,)
     labels = torch.zeros_like(logits)
     labels[: batch.half] = 1.0
@@ -143,7 +143,7 @@ def gail_reward(logits: Tensor) -> Tensor:
 
 
 def train_adversarially(config: AdversarialConfig, run: Run, loss: Loss, reward: RewardFn) -> None:
-    """Train policy and discriminator in alternation."""
+    """Train policy and discriminator alternately."""
     demonstrations = load_demonstrations(config, run)
     with PPOTrainer(config, run) as ppo:
         expert = ExpertData(
@@ -196,7 +196,7 @@ class DiscriminatorTrainer:
         self._reward = reward
 
     def rewards(self, rollout: Rollout) -> tuple[Tensor, Metrics]:
-        """Normalised rewards (T, N) of a rollout, and mean and spread of the raw ones.
+        """Normalised rewards (T, N) of a rollout, and raw rewards' mean and standard deviation.
 
         Batch norm is in evaluation mode.
         """
@@ -220,7 +220,7 @@ class DiscriminatorTrainer:
         return self._normaliser(raw, rollout.tasks), metrics
 
     def train(self, rng: np.random.Generator) -> Metrics:
-        """Take the optimiser's steps of an update; returns the means of what is logged."""
+        """Take an update's optimiser steps; returns the means of the logged values."""
         averages = Averages()
         for _ in range(self.config.discriminator.steps):
             batch = self.sample_batch(rng)
@@ -228,7 +228,7 @@ class DiscriminatorTrainer:
         return {**averages.reset()}
 
     def _step(self, batch: DiscriminatorBatch, randoms: Randoms) -> dict[str, Tensor]:
-        """Take one step of the optimiser on a batch; returns what is logged."""
+        """Take one optimiser step on a batch; returns the values to log."""
         images = randoms.augment(batch.images, self._augmentations)
         with self._compute.autocast():
             loss, logged = self._loss(self.network, batch._replace(images=images), randoms)
@@ -238,7 +238,7 @@ class DiscriminatorTrainer:
         return {"discriminator_loss": loss, **logged}
 
     def sample_batch(self, rng: np.random.Generator) -> DiscriminatorBatch:
-        """A batch as it is stored; both halves are split between the tasks in the same way."""
+        """Sample a batch as stored; both halves are split between the tasks in the same way."""
         half = self.config.discriminator.batch_size // 2
         counts = split_evenly(half, len(self.config.tasks), rng)
         rows = self._expert.sample_counts(counts, rng)
@@ -270,8 +270,8 @@ class DiscriminatorTrainer:
 def make_discriminator(config: AdversarialConfig) -> Discriminator:
     """The discriminator, with batch norm and action input, initialised from the seed.
 
-    In the published code its last layer is a row of a table, initialised from N(0, 1), in
-    multi-task runs only; with one task it is a plain linear layer.
+    In the published code, the last layer of a multi-task run has a table row for each task,
+    initialised from N(0, 1); with one task it is a plain linear layer.
     """
     networks = config.networks
     with seeded_init(config.seed, DISCRIMINATOR_INIT):

@@ -1,31 +1,32 @@
 """IQ-Learn: inverse soft Q-learning for imitation, with discrete actions.
 
-Garg, Chakraborty, Cundy, Song and Ermon, "IQ-Learn: inverse soft-Q learning for imitation", NeurIPS
-2021. There is neither a discriminator nor a reward: a soft Q function stands for both, as
+Source: Garg, Chakraborty, Cundy, Song and Ermon, "IQ-Learn: inverse soft-Q learning for imitation",
+NeurIPS 2021. There is neither a discriminator nor a reward function: a soft Q function defines
 
     V(s) = alpha log sum_a exp(Q(s, a) / alpha)          its soft value,
     pi(a | s) = exp((Q(s, a) - V(s)) / alpha)            its policy, and
-    r(s, a) = Q(s, a) - gamma V(s')                      its reward,
+    r(s, a) = Q(s, a) - gamma V(s')                      its reward.
 
-Q maximises, with the chi-square divergence,
+With the chi-square divergence, Q maximises
 
     E_demo[r] - E_both[V(s) - gamma V(s')] - E_both[r^2] / (4 beta)
 
-where `demo` are transitions of the demonstrations, and `both` in equal parts those and the policy's
-own, from a replay buffer. The second term stands for the value of initial states. The third is over
-the demonstrations alone in the paper's objective; over both, as in the published code's commands
-for MuJoCo, it bounds the reward (Al-Hafez et al., "LS-IQ: implicit reward regularization for
-inverse reinforcement learning", ICLR 2023). That code calls alpha `init_temp`, and beta `alpha`.
+where `demo` are transitions of the demonstrations, and `both` are these and the policy's own, from
+a replay buffer, in equal parts. The second term estimates the value of initial states. In the
+paper's objective, the third is over the demonstrations only; over both, as in the published code's
+commands for MuJoCo, it bounds the reward (Al-Hafez et al., "LS-IQ: implicit reward regularization
+for inverse reinforcement learning", ICLR 2023). The published code calls alpha `init_temp` and beta
+`alpha`.
 
 One update:
 
 1. collect a rollout: T steps of N environments with actions sampled from pi;
 2. add it to the replay buffer;
-3. take some optimiser steps on batches of one half demonstrations, one half the policy's.
+3. take some optimiser steps on batches that are half demonstrated, half the policy's transitions.
 
-Every episode here is truncated by its time limit, none terminates, in demonstrations as in
-rollouts. With `bootstrap`, as in the published code, V of the final observation is what follows, as
-if the episode went on; without it 0.
+In demonstrations and rollouts alike, every episode is truncated by its time limit and none
+terminates. With `bootstrap`, as in the published code, the final observation is bootstrapped with
+its V, as if the episode went on; without it, with 0.
 """
 
 from collections.abc import Mapping
@@ -114,7 +115,7 @@ class IQLearnConfig(InteractionConfig):
         super().__post_init__()
         iq = self.iq
         self.require_halves("batch_size", iq.batch_size)
-        # Two frames a step, where an episode ends; and a stack before them.
+        # A step takes two frames if an episode ends; and there is a stack before them.
         least = iq.num_envs * (self.observation_spec.frames + 2)
         if iq.buffer_size < least:
             raise InvalidConfigError(
@@ -124,7 +125,7 @@ class IQLearnConfig(InteractionConfig):
 
     @property
     def training_samples(self) -> int:
-        """The transitions of all batches; a third more for the passes of next observations."""
+        """The transitions of all batches, and a third more for the passes on next observations."""
         return self.num_updates * self.iq.gradient_steps * self.iq.batch_size * 4 // 3
 
 
@@ -140,17 +141,17 @@ def train(config: IQLearnConfig, run: Run) -> None:
 
 
 def soft_value(q: Tensor, temperature: float) -> Tensor:
-    """V = alpha log sum_a exp(Q(a) / alpha), (B,), of Q (B, 18)."""
+    """V = alpha log sum_a exp(Q(a) / alpha), (B,), for Q (B, 18)."""
     return temperature * (q / temperature).logsumexp(dim=1)
 
 
 def iq_loss(
     q: Tensor, next_values: Tensor, batch: Transitions, settings: IQSettings
 ) -> tuple[Tensor, dict[str, Tensor]]:
-    """The negative objective, to be minimised, and what is logged.
+    """The negative objective, to be minimised, and the values to log.
 
     Args:
-        q: (2B, 18) of the observations; the first half is the demonstrations'.
+        q: (2B, 18) for the observations; the first half is from the demonstrations.
         next_values: (2B,), V of the next observations.
         batch: the transitions.
         settings: gamma, alpha, beta, and whether to bootstrap.
@@ -191,7 +192,7 @@ class QNetwork(PolicyNetwork):
 
 
 def make_policy(config: IQLearnConfig) -> QNetwork:
-    """The soft Q function, without batch norm, initialised from the seed near 0."""
+    """The soft Q function, without batch norm, initialised from the seed to be near 0."""
     networks = config.networks
     with seeded_init(config.seed):
         trunk = Trunk(networks.network, config.input_shape, pixel_range=networks.pixel_range)
@@ -217,7 +218,7 @@ class IQTrainer(InteractionTrainer):
         self._augmentations = config.networks.augmentations(config.iq.augment)
 
     def collect(self, update: int) -> None:
-        """Step all environments T times with actions sampled from the policy, into the buffer."""
+        """Step all environments T times with actions sampled from the policy; fill the buffer."""
         envs, num_steps = self.envs, self.config.iq.num_steps
         rng = stream(self.config.seed, Purpose.ACTIONS, update)
         uniforms = torch.from_numpy(rng.random((num_steps, len(envs.tasks)), "f4"))
@@ -235,7 +236,7 @@ class IQTrainer(InteractionTrainer):
         self.monitor.add_rollout(torch.stack(taken), scores)
 
     def improve(self, update: int) -> Metrics:
-        """Take the optimiser's steps of an update; returns the means of what is logged."""
+        """Take an update's optimiser steps; returns the means of the logged values."""
         iq, averages = self.config.iq, Averages()
         left = 1.0 - update / iq.num_updates if iq.anneal else 1.0
         set_learning_rate(self.optimizer, iq.learning_rate * left)
@@ -251,7 +252,7 @@ class IQTrainer(InteractionTrainer):
         return {**averages.reset()}
 
     def _step(self, batch: Transitions, randoms: Randoms) -> dict[str, Tensor]:
-        """Take one step of the optimiser on a batch; returns what is logged."""
+        """Take one optimiser step on a batch; returns the values to log."""
         iq = self.config.iq
         network = self.target if iq.target_every else self.network
         observations = randoms.augment(batch.observations, self._augmentations)

@@ -1,13 +1,13 @@
-"""Object-centred behavioural cloning: parse objects, choose a goal, act towards it.
+"""Object-centred behavioural cloning: parse the objects, choose a goal, act towards it.
 
-1. Frames are parsed into objects (`magical.learning.objects.parser`, or a perception of others).
-2. In hindsight every recorded state gets the goal that was reached from it: which block was moved
+1. Frames are parsed into objects (by `magical.learning.objects.parser`, or a perception plugin).
+2. In hindsight, every recorded state gets the goal that was reached from it: which block was moved
    next, and where to.
 3. A goal model learns the likelihood of those goals from relations between objects, and a
    controller clones the demonstrator's actions given the goal, in the robot's frame.
 
-The goal model has functions for each task, the controller is shared by all. There are no published
-settings.
+The goal model has separate functions for each task; the controller is shared by all. There are no
+published settings.
 """
 
 from collections.abc import Mapping, Sequence
@@ -50,7 +50,7 @@ WEIGHT_DECAY = 1e-2  # of the controller
 DESTINATION_NOISE = 0.03  # units: standard deviation of the noise on the controller's destinations
 GOAL_EVERY = 8  # batches between updates of the goal model
 GOAL_BATCH_SIZE = 64  # samples of each task in an update of the goal model
-GOAL_LEARNING_RATE = 0.05  # of the goal model; annealed linearly to 0
+GOAL_LEARNING_RATE = 0.05  # initial rate of the goal model; annealed linearly to 0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,12 +104,12 @@ class ObjectBCConfig(Config):
 
     @property
     def learned_from(self) -> tuple[str, ...]:
-        """See `Config`; relations are for these tasks, and the parser was fitted on TestAll."""
+        """See `Config`; relations suit these tasks, and the parser was fitted on TestAll."""
         return (*super().learned_from, OBJECT_PARSER, BENCHMARK_PRIOR)
 
     @property
     def num_updates(self) -> int:
-        """All batches."""
+        """The number of batches."""
         return self.batches
 
     @property
@@ -119,7 +119,7 @@ class ObjectBCConfig(Config):
 
 
 class ObjectPolicy(nn.Module):
-    """Frame stacks to logits of the 18 actions, through objects and a goal."""
+    """Maps frame stacks to logits of the 18 actions, by way of objects and a goal."""
 
     takes_pixels = True
 
@@ -134,7 +134,7 @@ class ObjectPolicy(nn.Module):
         self(blank, torch.zeros(1, dtype=torch.int64))  # fixes the sizes of the lazy layers
 
     def forward(self, observations: Tensor, tasks: Tensor) -> Tensor:
-        """Logits (B, 18) of stacks (B, 12, 96, 96), uint8."""
+        """Logits (B, 18) for stacks (B, 12, 96, 96) uint8."""
         newest, oldest = (stacked_frames(observations, k) for k in (STACK - 1, 0))
         table = to_table(self.perception(newest), tasks.device)
         before = torch.from_numpy(self.perception(oldest, robot_alone=True).robot).to(table.robot)
@@ -149,8 +149,8 @@ class ObjectPolicy(nn.Module):
     ) -> Tensor:
         """Logits (B, 18) of the actions that bring targets (B,) to destinations (B, 2).
 
-        A robot with a block left to move that has not moved since its pose before (B, 3) acts more
-        randomly: it is stuck.
+        If a block is left to move and the robot is still at its earlier pose `before` (B, 3), it is
+        stuck and acts more randomly.
         """
         with torch.autocast(table.robot.device.type, enabled=False):
             inputs = control_inputs(table, targets, destinations, *self.ranges)
@@ -160,14 +160,14 @@ class ObjectPolicy(nn.Module):
 
 
 def stacked_frames(observations: Tensor, number: int) -> Pixels:
-    """Frames (B, 96, 96, 3) of the stacks (B, 12, 96, 96), by their number from the oldest."""
+    """Frame `number`, counted from the oldest, of stacks (B, 12, 96, 96): (B, 96, 96, 3)."""
     frames = observations[:, number * CHANNELS : (number + 1) * CHANNELS].permute(0, 2, 3, 1)
     pixels: Pixels = frames.cpu().numpy()
     return pixels
 
 
 def _stands(robot: Tensor, before: Tensor) -> Tensor:
-    """Which robots (B, 3) stand where they stood before: (B,) bool."""
+    """Whether each robot (B, 3) has hardly moved from its earlier pose (B, 3): (B,) bool."""
     moved = robot - before
     turned = torch.atan2(moved[:, 2].sin(), moved[:, 2].cos()).abs()
     return (moved[:, :2].abs().amax(dim=1) < STANDS) & (turned < STANDS_ANGLE)
@@ -187,7 +187,7 @@ def train(config: ObjectBCConfig, run: Run) -> None:
 
 
 class ObjectBCTrainer:
-    """Goal model and controller, each with its optimiser."""
+    """The goal model and the controller, each with its optimiser."""
 
     def __init__(self, config: ObjectBCConfig, run: Run, policy: ObjectPolicy) -> None:
         """Create a new trainer, or resume from the run's checkpoint."""
@@ -232,7 +232,7 @@ class ObjectBCTrainer:
     def control_step(
         self, data: ObjectData, number: int, rng: np.random.Generator
     ) -> dict[str, Tensor]:
-        """Clone a batch of actions, given the goals of hindsight."""
+        """Clone a batch of actions, given the goals found in hindsight."""
         config = self.config
         set_learning_rate(self.optimizer, config.learning_rate * (1.0 - number / config.batches))
         rows = data.sample_eventful(config.batch_size, rng)
@@ -262,7 +262,7 @@ class ObjectBCTrainer:
         """Increase the likelihood of a batch of goals."""
         config, goals = self.config, self.policy.goals
         refit = number - config.batches // 2
-        if config.goal_sparsity and 0 <= refit < GOAL_EVERY:  # its first step
+        if config.goal_sparsity and 0 <= refit < GOAL_EVERY:  # first step of the second half
             goals.leave_out()
         set_learning_rate(self.goal_optimizer, GOAL_LEARNING_RATE * (1.0 - number / config.batches))
         rows = data.sample_each(GOAL_BATCH_SIZE, rng)

@@ -2,9 +2,9 @@
 
 One update:
 
-1. collect a rollout: T steps of N environments with actions from the present policy;
+1. collect a rollout: T steps of N environments with actions from the current policy;
 2. estimate the advantages A by generalised advantage estimation (GAE);
-3. for some epochs over shuffled minibatches, minimise the clipped surrogate loss by Adam.
+3. for some epochs over shuffled minibatches, minimise the clipped surrogate loss with Adam.
 
 `train` uses the environment's reward; other algorithms pass learned ones to `improve_policy`.
 """
@@ -76,7 +76,7 @@ class PPOSettings(InteractionSettings):
 
 @dataclass(frozen=True, kw_only=True)
 class ReinforcementConfig(InteractionConfig):
-    """What the configurations of PPO and of all algorithms with PPO as a part are composed of."""
+    """Base of the configurations of PPO and of all algorithms that contain PPO."""
 
     networks: NetworkSettings = field(default_factory=NetworkSettings)
     ppo: PPOSettings = field(default_factory=PPOSettings)
@@ -92,7 +92,7 @@ class ReinforcementConfig(InteractionConfig):
 
     @classmethod
     def preset(cls, name: str, /, **settings: Any) -> Self:
-        """As `Config.preset`; a preset's `published` horizon is for tasks that have one."""
+        """As `Config.preset`, but without a preset's `published` horizon if no task has one."""
         tasks = settings.get("tasks", ())
         one_horizon = not have_two_horizons((tasks,) if isinstance(tasks, str) else tasks)
         if cls.presets.get(name, {}).get("horizon") == PUBLISHED and one_horizon:
@@ -101,7 +101,7 @@ class ReinforcementConfig(InteractionConfig):
 
     @property
     def training_samples(self) -> int:
-        """Every step of an environment, once in each epoch."""
+        """Every environment step, once per epoch."""
         return self.environment_steps * self.ppo.epochs
 
 
@@ -112,7 +112,7 @@ class PPOConfig(ReinforcementConfig):
     observations: ClassVar[tuple[str, ...]] = (*IMAGE_OBSERVATIONS, STATE)
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {},
-        # The environment's rewards are sparser than a discriminator's: a longer time scale.
+        # The environment's rewards are sparser than a discriminator's and need a longer time scale.
         "quick": {**QUICK, "minibatch_size": 128, "gamma": 0.95, "gae_lambda": 0.95},
         "states": STATES,
     }
@@ -137,7 +137,7 @@ def train(config: PPOConfig, run: Run) -> None:
 
 
 def make_policy(config: ReinforcementConfig) -> ActorCritic:
-    """The policy of PPO and what is built on it, without batch norm, initialised from the seed."""
+    """The actor-critic of PPO-based algorithms, without batch norm, initialised from the seed."""
     networks = config.networks
     with seeded_init(config.seed):
         trunk = Trunk(networks.network, config.input_shape, pixel_range=networks.pixel_range)
@@ -167,7 +167,7 @@ class PPOTrainer(InteractionTrainer):
         super().__init__(config, run, make_policy(config), rate, reward, previous_steps)
 
     def remaining_updates(self) -> range:
-        """The numbers of the updates that are not done yet."""
+        """The numbers of the remaining updates."""
         return range(max(self.run.step - self.previous_steps, 0), self.config.ppo.num_updates)
 
     def forward(
@@ -179,7 +179,7 @@ class PPOTrainer(InteractionTrainer):
         return logits.float(), values.float()
 
     def collect_rollout(self, update: int) -> Rollout:
-        """Step all environments T times with actions sampled from the present policy."""
+        """Step all environments T times with actions sampled from the current policy."""
         ppo, rng = self.config.ppo, stream(self.config.seed, Purpose.ACTIONS, update)
         with self.monitor.timed("sample"):
             rollout = collect_rollout(self.envs, self.forward, ppo.num_steps, ppo.bootstrap, rng)
@@ -187,14 +187,14 @@ class PPOTrainer(InteractionTrainer):
         return rollout
 
     def improve_policy(self, update: int, rollout: Rollout, rewards: Tensor) -> Metrics:
-        """Take `epochs` passes of minibatch steps on a rollout with rewards (T, N)."""
+        """Train on a rollout with rewards (T, N) for `epochs` passes of minibatch steps."""
         config, ppo = self.config, self.config.ppo
         averages = Averages()
         with self.monitor.timed("policy"):
             samples = make_samples(
                 rollout, rewards, ppo.gamma, ppo.gae_lambda, ppo.normalise_advantages
             )
-            # Mapped and converted once, and not in every epoch.
+            # Scaled and converted once instead of in every epoch.
             observations = self.compute.cast(self.network.trunk.to_range(samples.observations))
             samples = samples._replace(observations=observations)
             left = 1.0 - update / ppo.num_updates if ppo.anneal else 1.0
@@ -214,7 +214,7 @@ class PPOTrainer(InteractionTrainer):
         }
 
     def _step(self, minibatch: "Samples", clip_range: Tensor) -> dict[str, Tensor]:
-        """Take one step of the optimiser; returns the loss's parts."""
+        """Take one optimiser step; returns the parts of the loss."""
         logits, values = self.forward(minibatch.observations, minibatch.tasks, in_range=True)
         loss, parts = ppo_loss(logits, values, minibatch, clip_range, self.config.ppo.ent_coef)
         self.optimizer.zero_grad()
@@ -239,7 +239,7 @@ class PPOTrainer(InteractionTrainer):
 
 
 class Samples(NamedTuple):
-    """The samples of a rollout, B = T * N, or a minibatch of them."""
+    """The B = T * N samples of a rollout, or a minibatch of them."""
 
     observations: Tensor  # (B, ...) network inputs
     actions: Tensor  # (B,) int64
@@ -249,7 +249,7 @@ class Samples(NamedTuple):
     tasks: Tensor  # (B,) int64
 
     def select(self, rows: Tensor) -> "Samples":
-        """A minibatch."""
+        """The minibatch of these rows."""
         return Samples(*(part[rows] for part in self))
 
 
@@ -275,8 +275,8 @@ def compute_gae(rollout: Rollout, rewards: Tensor, gamma: float, gae_lambda: flo
     """Generalised advantage estimates (T, N) for rewards (T, N).
 
     A_t = delta_t + gamma * lambda * (1 - done_t) * A_{t+1}, where
-    delta_t = r_t + gamma * V(s_{t+1}) - V(s_t). At the end of an episode V(s_{t+1}) is 0 or the
-    value of the final observation: `Rollout.next_values` already contains the choice.
+    delta_t = r_t + gamma * V(s_{t+1}) - V(s_t). At the end of an episode, V(s_{t+1}) is 0 or the
+    value of the final observation; `Rollout.next_values` already contains the right one.
     """
     deltas = rewards + gamma * rollout.next_values - rollout.values
     weights = gamma * gae_lambda * ~rollout.dones
@@ -300,8 +300,8 @@ def ppo_loss(
         loss = policy loss + value loss - ent_coef * entropy
 
     Args:
-        logits: (B, 18) of the present policy pi.
-        values: (B,) of the present value function V.
+        logits: (B, 18) of the current policy pi.
+        values: (B,) of the current value function V.
         minibatch: the samples.
         clip_range: (), epsilon.
         ent_coef: the weight of the entropy.

@@ -1,11 +1,11 @@
-"""Goals as programs: which programs of the goal language explain the demonstrations, and act so.
+"""Goals as programs: infer which programs explain the demonstrations, and act accordingly.
 
-1. Frames are parsed and demonstrations cut into carries, as in `object-bc`.
-2. Programs of the language of goals are enumerated by their prior probability, and weighted by the
+1. Frames are parsed and demonstrations are cut into carries, as in `object-bc`.
+2. Programs of the goal language are enumerated, and weighted by their prior probability and by the
    likelihood of the carries under a softly rational demonstrator (`magical.learning.intent`).
-3. In an episode the posterior decides what is moved next, and where to; a planner moves it, with
-   the motion that the demonstrations show (`magical.learning.planning`). Where no program explains
-   the demonstrations, or none that does fits the scene, `object-bc` decides and acts.
+3. In an episode, the posterior decides what is moved next, and where to; a planner moves it, with
+   a motion model fitted to the demonstrations (`magical.learning.planning`). If no program explains
+   the demonstrations, or if none of those that do fits the scene, `object-bc` decides and acts.
 
 Sources: Lázaro-Gredilla et al., "Beyond imitation: zero-shot task transfer on robots by learning
 concepts as cognitive programs", Science Robotics 2019; Silver et al., "Few-shot Bayesian imitation
@@ -50,13 +50,13 @@ from magical.scene.poses import ROBOT
 from magical.tasks.programs import parse
 from magical.untrusted import parse_json
 
-MAX_BYTES = 1 << 16  # of a task's programs as text
+MAX_BYTES = 1 << 16  # size of a task's belief as JSON
 MOTION_SHAPES = {"drive": (2, 3), "turn": (2, 2), "grasp": (3,)}  # float64: see `Motion`
 
 
 @dataclass(frozen=True, kw_only=True)
 class ProgramBCConfig(ObjectBCConfig):
-    """Settings of cloning by programs."""
+    """Settings of behavioural cloning with goals as programs."""
 
     seconds_each: ClassVar[tuple[float, float] | None] = 1.2e-4, 1.2e-3  # measured
 
@@ -64,9 +64,9 @@ class ProgramBCConfig(ObjectBCConfig):
 
 
 class ProgramNetwork(ObjectPolicy):
-    """An object-centred policy with a belief about each task's program."""
+    """An object-centred policy with a belief about the program of each task."""
 
-    beliefs: Tensor  # (tasks, MAX_BYTES) uint8: JSON, filled up with zeros
+    beliefs: Tensor  # (tasks, MAX_BYTES) uint8: JSON, padded with zeros
 
     def __init__(self, config: ProgramBCConfig) -> None:
         super().__init__(config)
@@ -77,16 +77,16 @@ class ProgramNetwork(ObjectPolicy):
 
     @property
     def motion(self) -> Motion:
-        """The robot's motion."""
+        """The motion model of the robot."""
         return Motion(*(getattr(self, name).cpu().numpy() for name in MOTION_SHAPES))
 
     def move_as(self, motion: Motion) -> None:
-        """Keep the robot's motion."""
+        """Store the motion model of the robot."""
         for name, values in zip(MOTION_SHAPES, motion, strict=True):
             getattr(self, name).copy_(torch.from_numpy(values))
 
     def believe(self, task: int, belief: Belief) -> None:
-        """Keep what is believed of a task."""
+        """Store the belief about a task."""
         programs = [(repr(program), weight) for program, weight in belief.explanations]
         saved = _SavedBelief(programs, belief.unexplained, belief.largest)
         text = json.dumps(saved).encode()
@@ -95,7 +95,7 @@ class ProgramNetwork(ObjectPolicy):
         self.beliefs[task, : len(text)] = torch.frombuffer(bytearray(text), dtype=torch.uint8)
 
     def belief(self, task: int) -> Belief:
-        """What is believed of a task."""
+        """The belief about a task."""
         text = bytes(self.beliefs[task].cpu().numpy()).rstrip(b"\0")
         saved = parse_json(text, _SavedBelief, "policy", CheckpointError)
         try:
@@ -106,7 +106,7 @@ class ProgramNetwork(ObjectPolicy):
 
 
 class _SavedBelief(NamedTuple):
-    """A belief in JSON, an array of these."""
+    """A belief as a JSON array of these values."""
 
     programs: list[tuple[str, float]]  # with their weights
     unexplained: float
@@ -114,13 +114,13 @@ class _SavedBelief(NamedTuple):
 
 
 class ProgramPolicy(TrainedPolicy):
-    """Acts by the beliefs; remembers where each episode's blocks started, and which is which."""
+    """Acts on the beliefs; keeps each episode's initial scene and tracks its blocks."""
 
     network: ProgramNetwork
     _episodes: list["_Episode | None"]
 
     def reset(self, mask: Mask) -> None:
-        """Forget the episodes that end where the mask (B,) is true."""
+        """Forget the episodes of the environments for which the mask (B,) is true."""
         if mask.all():
             self._beliefs = [self.network.belief(task) for task in range(len(self.tasks))]
             self._episodes = [None] * len(mask)
@@ -152,26 +152,26 @@ class ProgramPolicy(TrainedPolicy):
             rows = np.array(unknown)
             logits = self.outputs(observations[rows], [env_ids[row] for row in unknown])
             found = logits.softmax(dim=1).numpy()
-            # Each row has its own random numbers, whatever the others do.
+            # Each row has its own random number, so rows do not affect each other.
             sampled = sample_actions(found, uniforms[rows])
             actions[rows] = found.argmax(axis=1) if self.greedy else sampled
         return actions
 
 
 class _Episode:
-    """An episode that is acted in."""
+    """An episode in progress."""
 
     def __init__(self, intention: Intention, planner: Planner, now: ParsedFrames) -> None:
         self.intention, self._planner = intention, planner
         self._now, self._before = now, now
 
     def see(self, parsed: ParsedFrames) -> None:
-        """The next frame, with blocks numbered as in the first."""
+        """Take in the next frame, with blocks numbered as in the first."""
         pair = track(ParsedFrames.joined([self._now, parsed]))
         self._before, self._now = self._now, pair.select(slice(1, 2))
 
     def act(self, uniform: float | None) -> int:
-        """See `Planner`; without anything left to do, none."""
+        """See `Planner.act`; a no-op if nothing is left to do."""
         poses = parsed_poses(self._now, 0, self.intention.scene)
         decision = self.intention.decide(poses)
         if decision is None:
@@ -196,7 +196,7 @@ def train(config: ProgramBCConfig, run: Run) -> None:
 def infer_beliefs(
     config: ProgramBCConfig, demonstrations: Sequence[ParsedDemonstration]
 ) -> dict[str, Belief]:
-    """What is believed of each task after its demonstrations, whatever other tasks there are."""
+    """The belief about each task, from its own demonstrations and independent of other tasks."""
     beliefs = {}
     for task in config.tasks:
         rng = stream(config.seed, Purpose.PROGRAMS)
@@ -206,10 +206,10 @@ def infer_beliefs(
 
 
 def beliefs_of(run: Path) -> dict[str, Belief]:
-    """What the policy of a run folder believes of each of its tasks.
+    """The beliefs that the policy of a run folder has about each of its tasks.
 
     Raises:
-        RunFolderError: not a run of this algorithm.
+        RunFolderError: not a run folder, a damaged one, or a run of another algorithm.
         CheckpointError: no checkpoint yet, or a damaged one.
     """
     policy = load_policy(run, device="cpu")

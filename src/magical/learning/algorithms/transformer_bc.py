@@ -4,13 +4,13 @@ Source: Chen et al., "Decision transformer: reinforcement learning via sequence 
 2021, without returns. The loss is the cross-entropy of the actions of all steps in a window.
 
 What differs: a step is one token, the sum of the features of its frame stack and, with
-`past_actions`, of the action before it, instead of two tokens; the encoder of images is one of this
-package's networks; there are 2 layers. A window is of consecutive samples, so where no-ops have
-been left out, the action before is the last one that was none.
+`past_actions`, an embedding of the previous action, instead of two tokens; the image encoder is one
+of this package's networks; there are 2 layers. A window holds consecutive samples, so if no-ops
+have been left out, the previous action is the last one that was not a no-op.
 
 A policy that sees its past actions may repeat them instead of looking (de Haan, Jayaraman and
-Levine, "Causal confusion in imitation learning", NeurIPS 2019); without them it may still infer
-them from frames.
+Levine, "Causal confusion in imitation learning", NeurIPS 2019); without them, it may still infer
+them from the frames.
 """
 
 from collections.abc import Mapping, Sequence
@@ -61,24 +61,25 @@ class TransformerBCConfig(SequenceConfig):
 
     @property
     def training_samples(self) -> int:
-        """Every step of all windows."""
+        """The steps of all windows."""
         return super().training_samples * self.window
 
 
 class Windows(NamedTuple):
-    """Consecutive samples of demonstrations, L each."""
+    """Windows of L consecutive samples of demonstrations."""
 
     images: Tensor  # (B, L, C, H, W) float32 in [0, 1]
-    before: Tensor  # (B, L) int64: the actions before the observations
+    before: Tensor  # (B, L) int64: the actions taken before the observations
     actions: Tensor  # (B, L) int64
     exist: Tensor  # (B, L) bool: false before a demonstration's start
     tasks: Tensor  # (B,) int64
 
 
 class MemoryNetwork(nn.Module):
-    """Windows of observations and actions to logits, in two parts, so that a policy keeps tokens.
+    """Maps windows of observations and actions to logits, in two parts.
 
-    `forward` makes tokens (B, WIDTH) of images (B, C, H, W), and `logits` goes on from there.
+    `forward` turns images (B, C, H, W) into tokens (B, WIDTH), which a policy can keep from step to
+    step, and `logits` turns tokens into logits.
     """
 
     def __init__(self, config: TransformerBCConfig) -> None:
@@ -96,19 +97,19 @@ class MemoryNetwork(nn.Module):
         self.policy = TaskLinear(WIDTH, NUM_ACTIONS, len(config.tasks))
 
     def forward(self, images: Tensor, tasks: Tensor) -> Tensor:
-        """Tokens, which are the same for all tasks."""
+        """Tokens, which do not depend on the tasks."""
         tokens: Tensor = self.projection(self.trunk(images))
         return tokens
 
     def logits(self, tokens: Tensor, before: Tensor, exist: Tensor, tasks: Tensor) -> Tensor:
-        """Logits (B, L, 18) of tokens (B, L, WIDTH), actions before and what exists (B, L)."""
+        """Logits (B, L, 18), given tokens (B, L, WIDTH); `before` and `exist` as in `Windows`."""
         length = tokens.shape[1]
         hidden = tokens + self.positions
         if self.before is not None:
             hidden = hidden + self.before(before)
         later = torch.ones(length, length, dtype=torch.bool, device=tokens.device).triu(1)
         itself = torch.eye(length, dtype=torch.bool, device=tokens.device)
-        # A step sees itself even where it does not exist: attention to nothing is not a number.
+        # A step sees itself even if it does not exist: attention to no steps at all would be NaN.
         unseen = later | ~(exist[:, None] | itself)  # (B, L, L)
         hidden = self.transformer(hidden, mask=unseen.repeat_interleave(HEADS, dim=0))
         logits: Tensor = self.policy(hidden.flatten(0, 1), tasks.repeat_interleave(length))
@@ -126,7 +127,7 @@ class MemoryPolicy(TrainedPolicy):
     _last: NDArray[np.int64]  # (B,) the actions that were chosen last
 
     def reset(self, mask: Mask) -> None:
-        """Forget the steps of the environments in which an episode starts."""
+        """Clear the windows of the environments in which an episode starts."""
         if mask.all():
             shape = len(mask), self.config.window
             self._tokens = torch.zeros(*shape, WIDTH)
@@ -150,7 +151,7 @@ class MemoryPolicy(TrainedPolicy):
 
 
 def sample_windows(config: TransformerBCConfig, data: ExpertData, number: int) -> Windows:
-    """Batch `number`: windows that end at sampled steps, each augmented in one way."""
+    """Batch `number`: windows that end at sampled steps, each with a single augmentation."""
     rng = stream(config.seed, Purpose.BATCHES, number)
     ends = data.sample(config.fitting.batch_size, rng)
     rows, exist = data.neighbours(ends, np.arange(1 - config.window, 1))
@@ -169,7 +170,7 @@ def sample_windows(config: TransformerBCConfig, data: ExpertData, number: int) -
 
 
 def memory_losses(network: MemoryNetwork, batch: Windows) -> dict[str, Tensor]:
-    """The loss to be minimised, the mean cross-entropy, and the accuracy at the newest step."""
+    """The loss to be minimised (the mean cross-entropy), and the accuracy at the newest step."""
     images = batch.images.flatten(0, 1).contiguous(memory_format=torch.channels_last)
     tokens = network(images, batch.tasks).view(*batch.actions.shape, -1)
     logits = network.logits(tokens, batch.before, batch.exist, batch.tasks).float()

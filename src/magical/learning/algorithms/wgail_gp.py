@@ -2,7 +2,7 @@
 
 Source: appendix B, Table 4, and C; docs/specification.md, section 10. Single-task only.
 
-As GAIL, but the discriminator is a critic f without a sigmoid: it maximises the difference of its
+Like GAIL, but the discriminator is a critic f without a sigmoid: it maximises the difference of its
 mean logits on expert and novice samples, an estimate of the Wasserstein distance. A penalty on the
 gradient keeps it nearly 1-Lipschitz in the image. The reward is the logit itself.
 """
@@ -39,7 +39,7 @@ class WGAILGPConfig(AdversarialConfig):
         **GAILConfig.presets,
         "published-code": {
             **GAILConfig.presets["published-code"],
-            "penalty_weight": 200.0,  # 100 beside half the difference of the means
+            "penalty_weight": 200.0,  # published: 100, with half the difference of the means
         },
     }
 
@@ -52,7 +52,7 @@ class WGAILGPConfig(AdversarialConfig):
 
     @property
     def training_samples(self) -> int:
-        """Those of GAIL, and for the penalty half a batch with two backward passes."""
+        """The samples of GAIL, and half a batch with two backward passes for the penalty."""
         return super().training_samples + self.discriminator_samples
 
 
@@ -80,12 +80,12 @@ def critic_loss(
 ) -> tuple[Tensor, dict[str, Tensor]]:
     """Mean f(novice) - mean f(expert) + penalty_weight * penalty: to be minimised.
 
-    Batch norm is in evaluation mode in the penalty: the function that gives the rewards is what has
-    to be Lipschitz, a row's gradient must not depend on other rows, and the statistics must remain
-    those of real images. With `penalty_batch_norm` it is in training mode, as in published code.
+    Batch norm is in evaluation mode for the penalty: the function that gives the rewards has to be
+    Lipschitz, a row's gradient must not depend on other rows, and the statistics must remain those
+    of real images. With `penalty_batch_norm` it is in training mode, as in the published code.
 
-    Logs the estimated distance, mean f(expert) - mean f(novice), the penalty, and the accuracy of
-    a threshold midway between the two means.
+    Logs the estimated distance, mean f(expert) - mean f(novice); the penalty; and the accuracy of a
+    threshold midway between the two means.
     """
     logits = critic(batch.images, batch.actions, batch.tasks).float()  # (2B,)
     expert, novice = logits[: batch.half], logits[batch.half :]
@@ -124,8 +124,8 @@ def gradient_penalty(
 ) -> Tensor:
     """Mean of (|df / d image|_2 - 1)^2; differentiable with respect to the critic's weights.
 
-    Images (B, C, H, W) are in [0, 1]; the gradient is with respect to pixels from `pixels[0]` to
-    `pixels[1]`, as the critic's first convolution takes them.
+    Images (B, C, H, W) are in [0, 1]; the gradient is with respect to pixels scaled to the range
+    from `pixels[0]` to `pixels[1]`, which is the input of the critic's first convolution.
     """
     images = images.detach().requires_grad_()
     logits = critic(images, actions, tasks)

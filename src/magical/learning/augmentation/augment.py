@@ -1,9 +1,9 @@
 """Image augmentation: noise, translation, rotation, colour jitter (appendix B).
 
-The parameters are sampled once per frame stack; the noise alone is sampled for every pixel and
-channel. Order: colour jitter, one combined rotation and translation, noise, clamp
-(docs/specification.md, section 10). 8-bit images on a CPU are augmented by compiled code, all
-others batched on their own device by PyTorch, which is the reference of the former's tests.
+Parameters are sampled once per frame stack; only noise is sampled for every pixel and channel. The
+order is colour jitter, one combined rotation and translation, noise, clamp (docs/specification.md,
+section 10). 8-bit images on a CPU are augmented by compiled code, all others in batches by PyTorch
+on their own device; tests compare the compiled code with PyTorch as the reference.
 """
 
 import math
@@ -28,7 +28,7 @@ MAX_LIGHTNESS_CHANGE = 0.01  # factors from 0.99 to 1.01
 MAX_COLOUR_ROTATION = 0.15  # rad in the (a, b) plane
 
 PADDING_MODES = {"mirror": "reflection", "repeat": "border"}  # PyTorch's names
-NUM_PARAMETERS = 5  # of a stack
+NUM_PARAMETERS = 5  # per stack
 
 Floats = NDArray[np.float64]
 Values = TypeVar("Values", Floats, Tensor)
@@ -37,17 +37,17 @@ Values = TypeVar("Values", Floats, Tensor)
 def augment(
     images: Tensor, which: Augmentations, rng: np.random.Generator, together: int = 1
 ) -> Tensor:
-    """Augment a batch of frame stacks: on a CPU in compiled code, if they are uint8.
+    """Augment a batch of frame stacks; uint8 stacks on a CPU in compiled code.
 
     Args:
         images: (B, 3 * frames, H, W), uint8 or float in [0, 1]. Not changed.
         which: the augmentations to apply.
         rng: the source of all random numbers.
-        together: so many consecutive stacks have the same parameters.
+        together: the number of consecutive stacks that share their parameters.
 
     Returns:
         (B, 3 * frames, H, W) float32 in [0, 1], in channels-last memory. Uint8 is scaled from
-        [0, 255] whatever is switched on.
+        [0, 255] whichever augmentations are on.
     """
     parameters = sample_parameters(len(images), which, rng, together)
     if images.device.type == "cpu" and images.dtype == torch.uint8:
@@ -62,7 +62,7 @@ def resampled(
     parameters: "Parameters[Floats]",
     seeds: NDArray[np.uint64],
 ) -> Tensor:
-    """`augment` in compiled code, for uint8 images on a CPU; a seed (B,) of noise for each."""
+    """`augment` in compiled code, for uint8 images on a CPU; `seeds` (B,) are for the noise."""
     batch, channels, height, width = images.shape
     out = np.empty((batch, height, width, channels), np.float32)
     inverses = None
@@ -84,7 +84,7 @@ def augment_in_pytorch(
     parameters: "Parameters[Floats] | Parameters[Tensor]",
     generator: torch.Generator,
 ) -> Tensor:
-    """`augment` in PyTorch, on any device; the generator is of the noise."""
+    """`augment` in PyTorch, on any device; the generator is for the noise."""
     if which.colour:
         images = colour_jitter(images, parameters.lightness, parameters.hues, which.linear_light)
     images = to_unit(images)
@@ -112,14 +112,14 @@ def warp(
         images: (B, C, H, W) float.
         angles: (B,) radians, counter-clockwise as seen.
         shifts: (B, 2) to the right and down, as fractions of width and height.
-        borders: what is beyond the image: "mirror", the image mirrored there, or "repeat", its
-            outermost pixels.
+        borders: how the image continues beyond its borders: "mirror", mirrored, or "repeat", with
+            its outermost pixels repeated.
 
     Returns:
         (B, C, H, W), bilinearly interpolated.
     """
     height, width = images.shape[2:]
-    # grid_sample wants the inverse map: from output to input coordinates, each from -1 to 1.
+    # grid_sample expects the inverse map: from output to input coordinates, each from -1 to 1.
     turns, moves = (torch.as_tensor(v, device=images.device) for v in (angles, shifts))
     theta = inverse_maps(turns, moves, height, width).to(images.dtype)
     grid = affine_grid(theta, list(images.shape), align_corners=False)
@@ -127,9 +127,9 @@ def warp(
 
 
 def inverse_maps(angles: Tensor, shifts: Tensor, height: int, width: int) -> Tensor:
-    """The maps from places in the results to places in the images, as for `warp`: (B, 2, 3).
+    """The affine maps from output to input coordinates, for arguments as in `warp`: (B, 2, 3).
 
-    Both coordinates, right and down, go from -1 to 1.
+    Both coordinates, right and down, range from -1 to 1.
     """
     cos, sin = angles.cos(), angles.sin()
     rows = [cos, -sin * (height / width), sin * (width / height), cos]
@@ -139,7 +139,7 @@ def inverse_maps(angles: Tensor, shifts: Tensor, height: int, width: int) -> Ten
 
 
 def in_pixels(maps: Floats, height: int, width: int) -> Floats:
-    """The same maps (B, 2, 3) in columns and rows, whose centres are whole numbers."""
+    """Convert these maps (B, 2, 3) to columns and rows, with pixel centres at whole numbers."""
     half = np.array([width / 2.0, height / 2.0])
     linear = maps[:, :, :2] * half[:, None] / half
     centre = half - 0.5
@@ -160,7 +160,7 @@ class Parameters(Generic[Values]):
     def scaled(cls, unit: Values, which: Augmentations) -> "Parameters[Values]":
         """Parameters from random numbers (B, 5) in [-1, 1].
 
-        All are used whatever is switched on, so that ablations share random numbers.
+        All columns are used whatever is switched on, so that ablations share random numbers.
         """
         return cls(
             lightness=1.0 + MAX_LIGHTNESS_CHANGE * unit[:, 0],
@@ -173,21 +173,21 @@ class Parameters(Generic[Values]):
 def sample_parameters(
     count: int, which: Augmentations, rng: np.random.Generator, together: int = 1
 ) -> Parameters[Floats]:
-    """The parameters of a batch; so many consecutive stacks have the same ones."""
+    """Sample the parameters of a batch; every `together` consecutive stacks share theirs."""
     unit = rng.uniform(-1.0, 1.0, (count // together, NUM_PARAMETERS))
     return Parameters.scaled(unit.repeat(together, axis=0), which)
 
 
 def noise_seeds(count: int, rng: np.random.Generator) -> NDArray[np.uint64]:
-    """A seed of noise for each stack of a batch: (B,)."""
+    """A noise seed for each stack of a batch: (B,)."""
     return rng.integers(2**64, size=count, dtype=np.uint64)
 
 
 class Randoms:
-    """Random numbers of a step, where networks compute.
+    """Random numbers for a step, on the device of the networks.
 
-    On a CPU they are those of `rng`; elsewhere those of a generator on the device, which is seeded
-    from it: a step then neither waits for the host nor copies from it.
+    On a CPU they come from `rng`; elsewhere from a generator on the device, seeded from `rng`, so
+    that a step neither waits for the host nor copies from it.
     """
 
     def __init__(self, device: str, rng: np.random.Generator) -> None:

@@ -1,11 +1,11 @@
-"""CIE Lab colour jitter: an affine map, and image batches jittered in PyTorch, on any device.
+"""CIE Lab colour jitter: its affine map, and its use on image batches in PyTorch, on any device.
 
 In CIE 1976 Lab both lightness and the (a, b) plane are linear in the three cube roots of the
 normalised XYZ values, so scaling L and rotating (a, b) is one affine map of these roots: Lab itself
-is never computed. Source: appendix B, "Colour jitter"; sRGB as in IEC 61966-2-1, white D65 for the
-2 degree observer.
+is never computed. Source: appendix B, "Colour jitter"; sRGB as in IEC 61966-2-1, white point D65
+for the 2 degree observer.
 
-In PyTorch powers are exp(c * log(x)), several times faster than `pow` on a CPU.
+In PyTorch, powers are computed as exp(c * log(x)), several times faster than `pow` on a CPU.
 """
 
 import math
@@ -39,12 +39,12 @@ GAMMA_KNEE, GAMMA_SLOPE = 0.0031308, 12.92
 
 
 def _of_roots(in_lab: Floats) -> Floats:
-    """A linear map of Lab colours (without the offset) as one of the cube roots: (3, 3)."""
+    """Express a linear map of Lab colours (without the offset) in the cube roots: (3, 3)."""
     return np.asarray(LAB_TO_ROOTS @ in_lab @ ROOTS_TO_LAB)
 
 
-# A jitter's map is a sum of these: scale * LIGHTNESS + cos(hue) * COSINE + sin(hue) * SINE, and
-# (scale - 1) * OFFSET is added.
+# A jitter's map is scale * LIGHTNESS + cos(hue) * COSINE + sin(hue) * SINE, plus the offset
+# (scale - 1) * OFFSET.
 LIGHTNESS = _of_roots(np.diag([1.0, 0.0, 0.0]))
 COSINE = _of_roots(np.diag([0.0, 1.0, 1.0]))
 SINE = _of_roots(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]))
@@ -52,7 +52,7 @@ OFFSET = LAB_TO_ROOTS @ LAB_OFFSET
 
 
 def root_maps(scales: Floats, hues: Floats) -> tuple[Floats, Floats]:
-    """The affine maps of the cube roots that the jitter amounts to: (B, 3, 3) and (B, 3).
+    """The jitter as affine maps of the cube roots: matrices (B, 3, 3) and offsets (B, 3).
 
     Args:
         scales: (B,) factors for L.
@@ -77,8 +77,8 @@ def colour_jitter(
         images: (B, 3 * frames, H, W) sRGB, uint8 or float in [0, 1].
         scales: (B,) factors for L, an array, or a tensor on the images' device.
         hues: (B,) angles in radians, from a towards b, likewise.
-        linear_light: decode sRGB to linear light before the conversion to XYZ, as its definition
-            asks, and encode it afterwards.
+        linear_light: decode sRGB to linear light before the conversion to XYZ, as the definition
+            of XYZ requires, and encode it afterwards.
 
     Returns:
         Float images of the same shape, clamped to [0, 1]; all frames of a stack are changed alike.
@@ -87,7 +87,7 @@ def colour_jitter(
     linear = _decode_gamma(images) if linear_light else _to_float(images)
     linear = linear.reshape(batch, channels // 3, 3, height * width)
     to_xyz, from_xyz, lightness, cosine, sine, offset = _constants(images.device, linear.dtype)
-    # As `root_maps` has them.
+    # As in `root_maps`.
     scale, hue = (torch.as_tensor(v).to(offset)[:, None, None] for v in (scales, hues))
     matrices = scale * lightness + hue.cos() * cosine + hue.sin() * sine  # (B, 3, 3)
     offsets = (scale - 1.0) * offset  # (B, 1, 3)
@@ -110,7 +110,7 @@ def _to_float(images: Tensor) -> Tensor:
 
 
 def _decode_gamma(images: Tensor) -> Tensor:
-    """Map sRGB to linear; uint8 by a lookup table."""
+    """Map sRGB to linear light; uint8 through a lookup table."""
     if images.dtype == torch.uint8:
         table = _decode_gamma(torch.arange(256, device=images.device) / 255.0)
         return table.index_select(0, images.flatten().int()).view(images.shape)

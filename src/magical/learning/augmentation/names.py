@@ -1,4 +1,4 @@
-"""Which augmentations are applied to images, and how: names, the paper's ablations (no PyTorch)."""
+"""Names of image augmentations, and the paper's ablations of them (no PyTorch)."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -15,9 +15,9 @@ class Augmentations:
     translation: bool = True
     rotation: bool = True
     colour: bool = True
-    borders: str = "mirror"  # beyond a translated or rotated one; "repeat": its outermost pixels
+    borders: str = "mirror"  # beyond the image: "mirror" it, or "repeat" its outermost pixels
     linear_light: bool = True  # decode sRGB before the conversion to CIE Lab
-    scale: float = 1.0  # of the ranges that translations and rotations are sampled from
+    scale: float = 1.0  # factor of the ranges of translations and rotations
 
 
 NAMES = ("noise", "translation", "rotation", "colour")
@@ -31,10 +31,10 @@ SETS = {
 def parse_augmentations(text: str) -> Augmentations:
     """Parse one of `SETS`, or names joined by `+`, such as `noise+rotation`.
 
-    `no-trans-rot` and `none` are the tables' "no trans./rot. aug." and "no aug.".
+    `no-trans-rot` and `none` are "no trans./rot. aug." and "no aug." in the paper's tables.
 
     Raises:
-        UnknownNameError: a name that is none of these.
+        UnknownNameError: a name is unknown.
     """
     if text in SETS:
         return SETS[text]
@@ -50,6 +50,6 @@ def parse_augmentations(text: str) -> Augmentations:
 
 
 def augment_option(default: str, images: str = "images") -> Any:
-    """A configuration field with the names of the augmentations of some images."""
+    """A configuration field for the names of the augmentations applied to some images."""
     text = f"augmentations of {images}: all, none, no-trans-rot, or names joined by +"
     return option(default, text, parse=parse_augmentations, metavar="NAMES")

@@ -17,20 +17,20 @@ from magical.render.palette import GREY, GREY_OUTLINE, OUTSIDE, PUPIL, SHADES, W
 from magical.render.palette import permuted as permuted_palette
 from magical.scene.vocabulary import COLOURS
 
-PERMUTATIONS = tuple(permutations(COLOURS))  # the first changes nothing
-BITS = 5  # of each channel, by which a pixel's nearest colour is looked up
+PERMUTATIONS = tuple(permutations(COLOURS))  # the first is the identity
+BITS = 5  # per channel, by which a pixel's nearest colour is looked up
 DROPPED = 8 - BITS
 
 
 def permute_palette(images: Tensor, numbers: NDArray[np.int64]) -> Tensor:
-    """Frame stacks with their palettes permuted.
+    """Permute the palettes of frame stacks.
 
-    A pixel changes by as much as the nearest colour of the palette: exact where one colour fills
-    it, approximate at edges.
+    A pixel changes by as much as the nearest colour of the palette does: exact where one colour
+    fills the pixel, approximate at edges.
 
     Args:
         images: (B, 3 * frames, H, W) uint8.
-        numbers: (B,) of `PERMUTATIONS`.
+        numbers: (B,) indices into `PERMUTATIONS`.
 
     Returns:
         The same shape, uint8.
@@ -49,7 +49,7 @@ def permute_palette(images: Tensor, numbers: NDArray[np.int64]) -> Tensor:
 
 
 class _Tables(NamedTuple):
-    nearest: Tensor  # (2^15,) int64: the entry of the palette nearest to a colour
+    nearest: Tensor  # (2^15,) int64: index of the palette's entry nearest to each colour
     changes: Tensor  # (24, n, 3) int16: what each permutation adds to each entry
 
 

@@ -1,6 +1,6 @@
-"""Frame stacks resampled: colours jittered, rotated and translated, in one pass over 8-bit frames.
+"""Resampling frame stacks: colour jitter, rotation and translation in one pass over 8-bit frames.
 
-The slow reference, which also runs on other devices, is `magical.learning.augmentation.augment`.
+The slower reference, which also runs on other devices, is `magical.learning.augmentation.augment`.
 """
 
 from typing import Any
@@ -26,7 +26,7 @@ from magical.render.output import CHANNELS
 
 LEVELS = 255  # of 8-bit pixels
 SLOTS = 2048  # of the table of jittered colours: frames have a few hundred colours
-MULTIPLIER = 2_654_435_761  # of the hash: 2^32 over the golden ratio
+MULTIPLIER = 2_654_435_761  # of the hash: 2^32 divided by the golden ratio
 ROOT_OF_KNEE = float(np.cbrt(ROOT_KNEE))
 
 Floats = NDArray[np.float64]
@@ -46,11 +46,11 @@ def resample(
 
     Args:
         images: (B, C, H, W) uint8, of any memory layout.
-        inverses: (B, 2, 3) affine maps from the pixel (column, row) of the result to the place in
-            the image, or None, which leaves everything where it is.
-        jitter: factors of the lightness (B,) and rotations of the (a, b) plane (B,), or None.
+        inverses: (B, 2, 3) affine maps from pixels (column, row) of the result to positions in the
+            image, or None for no rotation and translation.
+        jitter: lightness factors (B,) and rotations of the (a, b) plane (B,), or None.
         linear_light: decode sRGB before the jitter, and encode it afterwards.
-        mirror: the image goes on beyond its borders mirrored; otherwise its outermost pixels do.
+        mirror: mirror the image beyond its borders; otherwise repeat its outermost pixels.
         out: (B, H, W, C) float32, the results, bilinearly interpolated, in [0, 1].
     """
     maps = np.empty((0, 2, 3)) if inverses is None else inverses
@@ -94,7 +94,7 @@ def _jittered(
     encodes: bool,
     out: Floats32,
 ) -> None:
-    """One colour's jitter into `out` (3,)."""
+    """Write one jittered colour to `out` (3,)."""
     linear = decoded[red], decoded[green], decoded[blue]
     roots, mixed = np.empty(CHANNELS), np.empty(CHANNELS)
     for i in range(CHANNELS):
@@ -117,7 +117,7 @@ def _jittered(
 
 @inlined
 def _reflect(place: float, size: int) -> float:
-    """A coordinate beyond the borders, which are half a pixel outside, mirrored at them."""
+    """Mirror a coordinate at the borders, half a pixel beyond the outermost pixel centres."""
     if place < -0.5:
         place = -1.0 - place
     return 2.0 * size - 1.0 - place if place > size - 0.5 else place
@@ -125,7 +125,7 @@ def _reflect(place: float, size: int) -> float:
 
 @inlined
 def _load(image: NDArray[np.uint8], pixels: Floats32) -> None:
-    """An image (C, H, W) as floats (H * W, C)."""
+    """Convert an image (C, H, W) to floats (H * W, C)."""
     channels, height, width = image.shape
     scale = np.float32(1.0 / LEVELS)
     for y in range(height):
@@ -136,7 +136,7 @@ def _load(image: NDArray[np.uint8], pixels: Floats32) -> None:
 
 @inlined
 def _pack(image: NDArray[np.uint8], packed: Packed) -> None:
-    """An image (C, H, W) as colours (H * W, C / 3) of three bytes."""
+    """Pack an image (C, H, W) into colours (H * W, C / 3) of three bytes."""
     height, width = image.shape[1], image.shape[2]
     for k in range(packed.shape[1]):
         reds, greens, blues = image[CHANNELS * k], image[CHANNELS * k + 1], image[CHANNELS * k + 2]
@@ -159,7 +159,7 @@ def _jitter(
     values: Floats32,
     pixels: Floats32,
 ) -> None:
-    """Jittered colours (n,) into `pixels` (n, 3); each is computed once and kept in the tables."""
+    """Write jittered colours (n,) to `pixels` (n, 3); the tables cache them by hash."""
     keys[:] = -1
     for i in range(len(packed)):
         key = packed[i]
@@ -174,7 +174,7 @@ def _jitter(
 
 @fused
 def _warp(pixels: Floats32, inverse: Floats, mirror: bool, out: Floats32) -> None:
-    """Pixels (H * W, C) rotated and translated into `out` (H, W, C)."""
+    """Rotate and translate pixels (H * W, C) into `out` (H, W, C)."""
     height, width = out.shape[0], out.shape[1]
     for y in range(height):
         for x in range(width):
@@ -208,7 +208,7 @@ def compiled_resample(
     mirror: bool,
     out: Floats32,
 ) -> None:
-    """See `resample`; no `inverses` and no `matrices` stand for no warp and no jitter."""
+    """See `resample`; empty `inverses` mean no warp, empty `matrices` no jitter."""
     channels, height, width = images.shape[1:]
     own = np.empty((height * width, channels), np.float32)
     packed = np.empty((height * width, channels // CHANNELS), np.int32)

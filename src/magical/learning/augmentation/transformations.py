@@ -1,7 +1,7 @@
-"""Transformations of demonstrations that are not in the paper: which there are, and sampling them.
+"""Transformations of demonstrations that are not in the paper: their names and sampling.
 
-Each turns a stack of frames, with its action, into one that a demonstrator could have seen and
-answered in another scene. They are applied to whole stacks, before the paper's augmentations.
+Each turns a stack of frames and its action into what a demonstrator could have seen and done in
+another scene. They are applied to whole stacks, before the paper's augmentations.
 """
 
 from dataclasses import dataclass
@@ -31,7 +31,7 @@ def parse_transformations(text: str) -> frozenset[str]:
     """Parse `none`, or names of `TRANSFORMATIONS` joined by `+`, such as `mirror+frames`.
 
     Raises:
-        UnknownNameError: a name that is none of these.
+        UnknownNameError: a name is unknown.
     """
     chosen = frozenset() if text == NONE else frozenset(text.split("+"))
     for name in sorted(chosen - set(TRANSFORMATIONS)):
@@ -46,7 +46,7 @@ def check_transformations(chosen: frozenset[str], tasks: tuple[str, ...]) -> Non
     """Check that the tasks allow the transformations.
 
     Raises:
-        InvalidConfigError: mirror images of a task whose goal is on one side.
+        InvalidConfigError: mirror images of a task that is not mirror-symmetric.
     """
     if MIRROR not in chosen:
         return
@@ -62,21 +62,21 @@ def check_transformations(chosen: frozenset[str], tasks: tuple[str, ...]) -> Non
 class StackTransformations:
     """How each of B stacks is transformed."""
 
-    palettes: NDArray[np.int64]  # (B,) numbers of `PERMUTATIONS`
+    palettes: NDArray[np.int64]  # (B,) indices into `PERMUTATIONS`
     mirrored: NDArray[np.bool_]  # (B,)
     without_walls: NDArray[np.bool_]  # (B,)
     newest_only: NDArray[np.bool_]  # (B,)
 
     @classmethod
     def none(cls, count: int) -> Self:
-        """Nothing is changed."""
+        """Transformations that change nothing."""
         return cls(np.zeros(count, np.int64), *np.zeros((3, count), bool))
 
     @classmethod
     def sample(cls, count: int, chosen: frozenset[str], rng: np.random.Generator) -> Self:
-        """A permutation uniformly; each of the others for half of the stacks.
+        """Sample a permutation uniformly, and each other transformation with probability 1/2.
 
-        Without any chosen, no random number is sampled.
+        If none is chosen, no random number is used.
         """
         if not chosen:
             return cls.none(count)
@@ -86,7 +86,7 @@ class StackTransformations:
         return cls(palettes, *(halves & switches))
 
     def labels(self, actions: Tensor) -> Tensor:
-        """The actions (B,) int64 of the transformed stacks."""
+        """The actions (B,) int64 for the transformed stacks."""
         mirrored = torch.from_numpy(self.mirrored).to(actions.device)
         exchanged = torch.tensor(MIRRORED_ACTIONS, device=actions.device)
         return torch.where(mirrored, exchanged[actions], actions)

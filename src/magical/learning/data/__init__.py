@@ -1,1 +1,1 @@
-"""What is learned from: demonstrations and labelled episodes as samples, and batches of them."""
+"""Training data: demonstrations and labelled episodes as samples, and batches of them."""

@@ -1,8 +1,8 @@
 """Demonstrations as training data: choosing them, and sampling frame stacks and actions.
 
-Every frame is stored once, uint8 and channels first; stacks are assembled when they are sampled.
-Ten demonstrations of a hundred steps take 28 MB that way and 110 MB as stacks. Where poses are
-known, frames can be rendered when they are sampled instead (`magical.learning.data.rendered_data`).
+Each frame is stored once, as uint8 with channels first, and stacks are assembled when sampled. Ten
+demonstrations of a hundred steps take 28 MB this way, and 110 MB as stacks. If poses are known,
+frames can instead be rendered when sampled (`magical.learning.data.rendered_data`).
 """
 
 from collections.abc import Iterable, Sequence
@@ -32,11 +32,11 @@ if TYPE_CHECKING:
     from magical.learning.running.run import Run
 
 Rows = NDArray[np.int64]  # (B,) indices of samples
-TaskTrajectories = tuple[tuple[str, Trajectory], ...]  # with the name of each one's task
+TaskTrajectories = tuple[tuple[str, Trajectory], ...]  # each with the name of its task
 
 
 class Demonstrations(NamedTuple):
-    """The demonstrations of a run, and what identifies them."""
+    """A run's demonstrations, and what identifies them."""
 
     trajectories: TaskTrajectories
     record: tuple[dict[str, Any], ...]  # task, file and SHA-256 of each
@@ -67,19 +67,19 @@ def sample_demonstrations(
 ) -> Demonstrations:
     """Sample demonstrations of each task's Demo variant; the sample depends on the seed alone.
 
-    All algorithms with the same seed get the same ones, and a task of a multi-task run gets the
-    same as in a run of its own (appendix B).
+    All algorithms get the same demonstrations for the same seed, and a task in a multi-task run
+    gets the same ones as in a single-task run (appendix B).
 
     Args:
         path: the dataset's folder.
         tasks: the tasks' names.
         count: the number of demonstrations of each task.
         seed: the run's seed.
-        action_space: what their actions are converted to.
+        action_space: the action space that their actions are converted to.
 
     Raises:
-        DemonstrationsError: fewer than asked for, or continuous actions that are no discrete ones.
-        DatasetError: no dataset, or a damaged one.
+        DemonstrationsError: too few, or continuous actions without a discrete equivalent.
+        DatasetError: the dataset is missing or damaged.
     """
     dataset = Dataset.open(path)
     trajectories, record = [], []
@@ -109,7 +109,7 @@ class ExpertData:
     """The state-action samples of demonstrations, S in all, on a device.
 
     Attributes:
-        actions: (S,) int64, the trajectories' labels; (S, 3) float32 of continuous ones.
+        actions: (S,) int64, the trajectories' labels; (S, 3) float32 if continuous.
         tasks: (S,) int64, positions in `task_names`.
     """
 
@@ -125,15 +125,15 @@ class ExpertData:
         """Read the trajectories.
 
         Args:
-            demonstrations: the name of the task and the trajectory of each.
+            demonstrations: the task name and the trajectory of each.
             task_names: all tasks, in the configuration's order.
-            spec: of the observations.
+            spec: the specification of the observations.
             device: where samples are stored.
             remove_noops: leave out samples whose action is the no-op.
 
         Raises:
-            DemonstrationsError: no samples are left of a task: those of steps in which a policy
-                acted itself are always left out.
+            DemonstrationsError: a task has no samples left; steps in which a watched policy acted
+                on its own are always left out.
         """
         names, trajectories = zip(*demonstrations, strict=True)
         self.spec, self.device = spec, device
@@ -144,8 +144,8 @@ class ExpertData:
         steps = [np.flatnonzero(of_one) for of_one in kept]
         lengths = [len(s) for s in steps]
         self._bounds = _bounds(trajectories, steps)  # (2, S)
-        first = np.cumsum([0, *map(len, trajectories[:-1])])  # number of each one's first frame
-        self._stacks = []  # of each component: (S, frames), indices of frames, oldest first
+        first = np.cumsum([0, *map(len, trajectories[:-1])])  # index of each one's first frame
+        self._stacks = []  # for each component: (S, frames), indices of frames, oldest first
         for component in spec.components:
             parts = map(stack_indices, steps, repeat(component.frames))
             stacks = np.concatenate([n + part for n, part in zip(first, parts, strict=True)])
@@ -179,8 +179,8 @@ class ExpertData:
     def images(self, rows: Rows, newest_only: NDArray[np.bool_] | None = None) -> Tensor:
         """Frame stacks (B, C, H, W) uint8 of samples, in the observation's channel order.
 
-        State vectors are (B, size) float32. Stacks that `newest_only` (B,) names have the newest
-        frame in place of all earlier ones.
+        State vectors are (B, size) float32. Where `newest_only` (B,) is true, the newest frame
+        replaces all earlier ones.
         """
         index = self._index(rows)
         stacks = []
@@ -195,7 +195,7 @@ class ExpertData:
 
     @property
     def batches_on_host(self) -> bool:
-        """Whether batches are made by the host, so that another thread can make them ahead."""
+        """Whether the host makes the batches, so that another thread can make them in advance."""
         return self.device == "cpu"
 
     def augmented(
@@ -208,7 +208,7 @@ class ExpertData:
     ) -> Tensor:
         """Frame stacks of samples, transformed and augmented: (B, C, H, W) float32 in [0, 1].
 
-        So many consecutive ones are augmented with the same parameters.
+        Without `transformed`, every `together` consecutive ones share augmentation parameters.
         """
         if transformed is None:
             return augment(self.images(rows), which, rng, together)
@@ -220,10 +220,10 @@ class ExpertData:
         return augment(images, which, rng)
 
     def neighbours(self, rows: Rows, offsets: Rows) -> tuple[Rows, NDArray[np.bool_]]:
-        """Samples of the same trajectories, so many steps later: (B, K), and which there are.
+        """Samples at offsets (K,) from the given ones, and whether each exists: both (B, K).
 
-        In place of those beyond a trajectory's ends, or beyond a step in which a policy acted
-        itself, there is the first or last sample before that.
+        Offsets count samples of the same trajectory. They are clipped at its ends, and at steps in
+        which a policy acted on its own.
         """
         wanted = rows[:, None] + offsets
         first, last = self._bounds[:, rows, None]
@@ -231,7 +231,7 @@ class ExpertData:
         return found, found == wanted
 
     def labels(self, rows: Rows) -> tuple[Tensor, Tensor]:
-        """Actions (B,) int64, or (B, 3) float32 of continuous ones, and tasks (B,) int64."""
+        """Actions (B,) int64, or (B, 3) float32 if continuous, and tasks (B,) int64."""
         index = self._index(rows)
         return self.actions[index], self.tasks[index]
 
@@ -243,7 +243,7 @@ class ExpertData:
         return np.array([self._rows[n][i] for n, i in zip(numbers, within, strict=True)], np.int64)
 
     def sample_counts(self, counts: Sequence[int], rng: np.random.Generator) -> Rows:
-        """Sample `counts[k]` rows of task k with replacement, by task."""
+        """Sample `counts[k]` rows of task k with replacement, in the order of the tasks."""
         sampled = [rng.choice(rows, n) for rows, n in zip(self._rows, counts, strict=True)]
         return np.concatenate(sampled).astype(np.int64)
 
@@ -252,9 +252,10 @@ class ExpertData:
 
 
 def _bounds(trajectories: Sequence[Trajectory], steps: Sequence[Rows]) -> Rows:
-    """The first and last sample of each sample's stretch, (2, S), of the trajectories' steps.
+    """The first and last sample of the uninterrupted stretch around each sample: (2, S).
 
-    A step in which a policy acted itself ends a stretch: what comes after it is no sequel.
+    A stretch ends with its trajectory, or at a step in which a policy acted on its own: what comes
+    after it does not continue the demonstration.
     """
     pairs = zip(trajectories, steps, strict=True)
     stretches = [np.cumsum(~trajectory.is_demonstrated)[some] for trajectory, some in pairs]
@@ -265,16 +266,16 @@ def _bounds(trajectories: Sequence[Trajectory], steps: Sequence[Rows]) -> Rows:
 
 
 def _noops(actions: Actions) -> NDArray[np.bool_]:
-    """Which of the actions (T,), or (T, 3), are the no-op: (T,)."""
+    """Whether each of the actions, (T,) or (T, 3), is the no-op: (T,)."""
     equal = actions == spec_of(actions).convert(np.array([NOOP]))
     noops: NDArray[np.bool_] = equal.reshape(len(actions), -1).all(axis=1)
     return noops
 
 
 def split_evenly(size: int, num_tasks: int, rng: np.random.Generator) -> list[int]:
-    """How many of `size` samples each task gets: the same number, and one more for some.
+    """Split `size` samples between tasks: the same number each, and one more for some.
 
-    Which tasks get the remainder is sampled, so that all have the same expected share.
+    The tasks that get one more are sampled, so that all have the same expected share.
     """
     share, rest = divmod(size, num_tasks)
     counts = np.full(num_tasks, share)

@@ -19,17 +19,17 @@ def prefetch(
 ) -> Iterator[Iterator[T]]:
     """Yield an iterator over the batches `make(number)`, in order.
 
-    A thread makes them `ahead` of time, which is for batches that the host makes; it uses one core
-    and leaves the others to the main thread. What a GPU makes is made on demand: its kernels are
-    queued asynchronously anyway. The iterator raises what `make` raises.
+    If `ahead`, a thread makes them in advance, on one core, and leaves the others to the main
+    thread: this is for batches made by the host. Batches made on a GPU are made on demand, as its
+    kernels are queued asynchronously anyway. The iterator raises what `make` raises.
     """
     if not ahead:
         yield map(make, numbers)
         return
     num_threads = torch.get_num_threads()
     thread = ThreadPoolExecutor(1, "batches", torch.set_num_threads, (1,))
-    # The number set in one thread is also the default of threads started later, and a thread takes
-    # the default of now when it first asks.
+    # The number set in one thread is also the default for threads started later, and a thread takes
+    # the default of the time at which it first asks.
     thread.submit(torch.get_num_threads).result()
     torch.set_num_threads(num_threads)
     try:

@@ -1,8 +1,8 @@
-"""Demonstrations whose frames are rendered when they are sampled, augmented as they are rendered.
+"""Demonstrations whose frames are rendered when sampled, and augmented by the rendering itself.
 
-The camera is turned and shifted and the palette is changed in CIE Lab, so an augmented frame costs
-as much as a plain one, and pixels are never resampled. It needs the poses: demonstrations by
-scripted experts have them, and the published human ones as `magical demos import` reads them.
+The camera is rotated and shifted and the palette is changed in CIE Lab, so an augmented frame costs
+as much as a plain one, and pixels are never resampled. This needs poses: demonstrations by scripted
+experts have them, and so have the published human ones when read by `magical demos import`.
 """
 
 from collections.abc import Collection, Sequence
@@ -47,10 +47,10 @@ def choose_image_data(
     augment_by: str,
     transformations: Collection[str] = (),
 ) -> type[ExpertData]:
-    """What makes samples of images, recorded in `run.json`: with `auto`, rendering if possible.
+    """Choose how samples get their images, and record it in `run.json`; `auto` renders if possible.
 
     Raises:
-        DemonstrationsError: rendering, or a transformation that needs it, was asked for and poses
+        DemonstrationsError: rendering, or a transformation that needs it, was requested, but poses
             are unknown.
     """
     unknown = [trajectory.env_id for _, trajectory in demonstrations if trajectory.poses is None]
@@ -73,10 +73,10 @@ def choose_image_data(
 
 
 class RenderedExpertData(ExpertData):
-    """Like `ExpertData`, without stored frames; only for observations of pixels."""
+    """Like `ExpertData`, but without stored frames; only for pixel observations."""
 
     def _load_frames(self, trajectories: Sequence[Trajectory]) -> None:
-        """Store the poses before actions, by scene: scenes differ in bodies or regions."""
+        """Store all poses before actions, grouped by scene: scenes differ in bodies or regions."""
         assert isinstance(self.spec, PixelSpec)
         ends = np.cumsum(list(map(len, trajectories)))
         with_frames = zip(trajectories, np.split(np.arange(ends[-1]), ends[:-1]), strict=True)
@@ -101,7 +101,7 @@ class RenderedExpertData(ExpertData):
         return True
 
     def images(self, rows: Rows, newest_only: NDArray[np.bool_] | None = None) -> Tensor:
-        """See `ExpertData`: the frames as they are."""
+        """See `ExpertData`: the frames without augmentation."""
         unchanged = StackTransformations.none(len(rows))
         if newest_only is not None:
             unchanged = replace(unchanged, newest_only=newest_only)
@@ -116,7 +116,7 @@ class RenderedExpertData(ExpertData):
         transformed: StackTransformations | None = None,
         together: int = 1,
     ) -> Tensor:
-        """See `ExpertData`."""
+        """See `ExpertData`; `together` also applies with `transformed`."""
         transformed = transformed or StackTransformations.none(len(rows))
         channels, height, width = self.spec.network_shape
         parameters = sample_parameters(len(rows), which, rng, together)
@@ -147,7 +147,7 @@ class _SceneData(NamedTuple):
 
     poses: NDArray[np.float64]  # (F, bodies, 3)
     cameras: list[MovedCamera]  # one for each component of the observation
-    palettes: list[NDArray[np.uint8]]  # of each camera: (24, n, 3), by number of `PERMUTATIONS`
+    palettes: list[NDArray[np.uint8]]  # for each camera: (24, n, 3), by index into `PERMUTATIONS`
 
     def render(
         self,
@@ -181,7 +181,7 @@ def _jittered(
     which: Augmentations,
     rows: NDArray[np.intp],
 ) -> NDArray[np.uint8]:
-    """Palettes (B, n, 3) with each stack's colour jitter."""
+    """Apply each stack's colour jitter to palettes (B, n, 3)."""
     if not which.colour:
         return palettes
     images = torch.from_numpy(palettes.transpose(0, 2, 1)[:, :, None].copy())  # (B, 3, 1, n)
@@ -192,6 +192,6 @@ def _jittered(
 
 
 def _what_is_rendered(scene: Scene) -> object:
-    """Equal for scenes of the same bodies, in the same order, and the same regions."""
+    """A key, equal for scenes with the same regions and the same bodies in the same order."""
     blocks = tuple((block.shape, block.colour) for block in scene.blocks)
     return blocks, scene.regions, scene.robot_first

@@ -1,1 +1,1 @@
-"""What demonstrations were for: a posterior over programs of the language of goals."""
+"""Inferring the goal of demonstrations: a posterior over programs of the goal language."""

@@ -1,9 +1,9 @@
-"""What to move, and where to, by a belief about the goal.
+"""What to move, and where to, given a belief about the goal.
 
-Each program of the belief is a goal in the present scene. Of the things that must move most
-probably one is moved next, to the place where the least work is then expected under all goals,
-ways included; if that takes off less than a move costs, another thing. If none does, nothing is
-left to do.
+Each program of the belief is a goal in the current scene. One of the things most likely to have to
+move is moved next, to the place with the least expected work under all goals, including the way
+there. If no such move saves more work than a move costs, the other things are considered; if none
+of their moves does either, nothing is left to do.
 """
 
 import math
@@ -25,11 +25,11 @@ from magical.tasks import get_task
 from magical.tasks.programs import Goal, problem
 from magical.tasks.programs.states import Floats, States
 
-GOALS = 8  # the most probable ones that are acted on
-PRESSING = 0.8  # of the highest probability: what must move less probably comes later
-CHANGE = 0.05  # units of expected work: less is no reason to decide anew
-NEARNESS = 0.2  # units of work for each unit of the way to a thing, and of its way to its place
-CLEARANCE = 0.24  # units between blocks' centres: nearer ones would touch
+GOALS = 8  # the most probable ones, which are acted on
+PRESSING = 0.8  # share of the highest probability: things less likely to have to move come later
+CHANGE = 0.05  # units of expected work: less is no reason to decide again
+NEARNESS = 0.2  # units of work per unit of the way to a thing, and of its way to its place
+CLEARANCE = 0.24  # units between blocks' centres: closer blocks would touch
 CROWDED = 1.0  # units of work that such a place costs
 CELLS, BORDER = 14, 0.9  # of the grid of places; units
 _AXIS = (np.arange(CELLS) + 0.5) * 2 * BORDER / CELLS - BORDER
@@ -39,12 +39,12 @@ Decision = tuple[int, Point] | None  # a block or `ROBOT_TARGET`, and its place;
 
 
 class Intention:
-    """The belief in one episode, and the move that is presently made."""
+    """The belief in one episode, and the current move."""
 
     def __init__(self, belief: Belief, scene: Scene) -> None:
-        """Find the goals that the belief's programs are in the scene.
+        """Find the goals that the belief's programs express in the scene.
 
-        Programs that cannot be tasks there are left out.
+        Programs that are not valid tasks there are left out.
         """
         self.scene = scene
         goals: dict[Goal, float] = {}
@@ -56,8 +56,8 @@ class Intention:
         total = sum(weight for _, weight in likely)
         self.goals = [(goal, weight / total) for goal, weight in likely]
         self._decision: Decision = None
-        self._work = math.inf  # expected when that was decided
-        self._blocks = np.full((len(scene.blocks), 2), math.inf)  # where they lay then
+        self._work = math.inf  # expected at the time of the decision
+        self._blocks = np.full((len(scene.blocks), 2), math.inf)  # where they lay at that time
 
     @property
     def is_known(self) -> bool:
@@ -65,7 +65,7 @@ class Intention:
         return bool(self.goals)
 
     def decide(self, poses: Poses) -> Decision:
-        """What to move now; the same as before while it is worth moving."""
+        """What to move now; the same as before as long as it is worth moving."""
         blocks = poses.blocks[:, :2]
         robot_moves = self._decision is not None and self._decision[0] == ROBOT_TARGET
         if len(blocks) and not robot_moves and (np.abs(blocks - self._blocks) < MOVED).all():
@@ -83,7 +83,7 @@ class Intention:
         return self._decision
 
     def probabilities(self, poses: Poses) -> dict[int, float]:
-        """How probable it is that each block, or the robot, has still to move."""
+        """The probability that each block, or the robot, still has to move."""
         found: dict[int, float] = {}
         for things, weight in self._to_move(poses):
             for thing in things:
@@ -91,9 +91,9 @@ class Intention:
         return found
 
     def confidence(self, poses: Poses) -> float:
-        """How probable it is that what is moved now has to move; if nothing is, that nothing has.
+        """The probability that the decision is right: that its thing, or nothing, has to move.
 
-        0 where no program fits the scene.
+        It is 0 if no program fits the scene.
         """
         if not self.is_known:
             return 0.0
@@ -106,7 +106,7 @@ class Intention:
         )
 
     def _to_move(self, poses: Poses) -> list[tuple[set[int], float]]:
-        """What has still to move by each goal, and the goal's probability."""
+        """What still has to move under each goal, and the goal's probability."""
         states = States(self.scene, poses.bodies[None])
         robot = len(self.scene.blocks)
         found = []
@@ -116,7 +116,7 @@ class Intention:
         return found
 
     def _choose(self, poses: Poses) -> Decision:
-        """The best move of what must move most probably, else of the rest, if it is worth one."""
+        """The best worthwhile move, first of what most likely has to move, else of the rest."""
         now = float(self._expected_work(poses.bodies[None])[0])
         if now <= MOVE_COST:
             return None
@@ -140,7 +140,7 @@ class Intention:
         return None
 
     def work_at_places(self, thing: int, poses: Poses) -> Floats:
-        """Expected work if the thing lay at each place; more if it touched a block there."""
+        """Expected work with a thing at each of `PLACES`; more where blocks would touch."""
         bodies = np.repeat(poses.bodies[None], len(PLACES), axis=0)
         bodies[:, _row(thing), :2] = PLACES
         work = self._expected_work(bodies)
@@ -151,7 +151,7 @@ class Intention:
         return work
 
     def _expected_work(self, bodies: Floats) -> Floats:
-        """In each state (P, 5 + N, 3)."""
+        """The expected work (P,) in each state (P, 5 + N, 3)."""
         states = States(self.scene, bodies)
         weights = [weight for _, weight in self.goals]
         expected: Floats = np.dot(weights, [states.work(goal) for goal, _ in self.goals])
@@ -159,9 +159,9 @@ class Intention:
 
 
 def confidence_by_variant(belief: Belief, task: str, scenes: int) -> dict[str, float]:
-    """The mean over sampled scenes of each of a task's variants; see `Intention.confidence`.
+    """Mean `Intention.confidence` over sampled scenes of each of a task's variants.
 
-    The same scenes each time.
+    The scenes are the same every time.
     """
     found = {}
     for variant in get_task(task).variants:
@@ -177,7 +177,7 @@ def _row(thing: int) -> int:
 
 
 def _ways_to_places(thing: int, poses: Poses) -> Floats:
-    """Units that the thing has to go to each place, around the other blocks."""
+    """The length, in units, of a thing's route to each place, around the other blocks."""
     others = poses.blocks[[row for row in range(len(poses.blocks)) if row != thing], :2]
     rooms = np.full(len(others), CONTACT_DISTANCE if thing == ROBOT_TARGET else APART + BLOCK_ROOM)
     start = poses.bodies[_row(thing), :2]
@@ -185,7 +185,7 @@ def _ways_to_places(thing: int, poses: Poses) -> Floats:
 
 
 def _smooth(costs: Floats) -> Floats:
-    """The mean over each cell and those around it: places are not reached exactly."""
+    """The mean over each cell and its neighbours, as places are not reached exactly."""
     grid = np.pad(costs.reshape(CELLS, CELLS), 1, mode="edge")
     around = [grid[i : i + CELLS, j : j + CELLS] for i in range(3) for j in range(3)]
     smooth: Floats = np.mean(around, axis=0).ravel()

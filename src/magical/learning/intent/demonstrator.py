@@ -1,8 +1,8 @@
 """How likely demonstrations are under a goal, for a softly rational demonstrator.
 
-In each state the demonstrator stops, or moves one thing somewhere. Moves are preferred
-exponentially by how much they take off the work that the goal leaves, less what a move costs. Now
-and then the demonstrator slips: moves anything anywhere, or stops.
+In each state the demonstrator stops, or moves one thing somewhere. The preference for a move is
+exponential in the work towards the goal that it saves, minus the cost of a move. Occasionally the
+demonstrator slips: moves anything anywhere, or stops.
 """
 
 import math
@@ -17,18 +17,18 @@ from magical.scene.poses import FIRST_BLOCK, ROBOT
 from magical.tasks.programs import Goal
 from magical.tasks.programs.states import Floats, States
 
-RATIONALITY = 8.0  # nats for each unit of work
+RATIONALITY = 8.0  # nats per unit of work
 SLIPS = 0.2  # probability of a slip in each state
-MOVE_COST = 0.25  # units of work: less is not worth a move
-ALTERNATIVES = 96  # other moves that each state is compared with, spread evenly
+MOVE_COST = 0.25  # units of work: a move that saves less is not worthwhile
+ALTERNATIVES = 96  # evenly spread other moves to compare with in each state
 MARGIN = 0.12  # units from the walls to the places of other moves
 
 
 class Episode:
-    """A demonstration as states: a move led from each to the next, none from the last.
+    """A demonstration as states: a move leads from each to the next; the last is final.
 
     Attributes:
-        scene: what it started from.
+        scene: the initial scene.
     """
 
     def __init__(self, scene: Scene, states: Sequence[Poses], rng: np.random.Generator) -> None:
@@ -38,7 +38,7 @@ class Episode:
         self._states = States(scene, np.concatenate([bodies, *others]))
 
     def log_likelihood(self, goal: Goal) -> float:
-        """Nats; a move's likelihood is a density relative to random moves."""
+        """The log-likelihood in nats; that of a move is a density relative to random moves."""
         work = self._states.work(goal)
         if not np.isfinite(work).all():
             return -np.inf
@@ -50,12 +50,12 @@ class Episode:
 
     @property
     def log_likelihood_of_slips(self) -> float:
-        """Nats, of a demonstrator without a goal: in each state a random move or none."""
+        """The log-likelihood, in nats, with no goal: in each state a random move, or a stop."""
         return self._count * math.log(0.5)
 
 
 def _random_moves(bodies: Floats, rng: np.random.Generator) -> Floats:
-    """The poses after a block, or the robot, was moved to each of `ALTERNATIVES` random places."""
+    """The poses after each of `ALTERNATIVES` random moves of a block or the robot."""
     rows = np.array([ROBOT, *range(FIRST_BLOCK, len(bodies))])
     which, *places = qmc.Halton(3, rng=rng).random(ALTERNATIVES).T
     moves = np.repeat(bodies[None], ALTERNATIVES, axis=0)

@@ -1,7 +1,7 @@
-"""Programs by what they mean in the scenes of demonstrations.
+"""Programs grouped by their meaning in the scenes of demonstrations.
 
-Programs whose selections name the same blocks cannot be told apart there, so they are one meaning:
-one goal for the likelihood, with all selections that it may have been written with.
+Programs whose selections name the same blocks cannot be distinguished there, so they have one
+meaning: one goal for the likelihood, with all selections that it can be written with.
 """
 
 import math
@@ -48,7 +48,7 @@ class Chosen(Selection):
     named: Blocks
 
     def __post_init__(self) -> None:
-        """Nothing: the field is no word of the language."""
+        """Skip the check of the base class: the field is not part of the language."""
 
     def blocks(self, scene: Scene) -> Blocks:
         """See `Selection`."""
@@ -57,11 +57,11 @@ class Chosen(Selection):
 
 @dataclass(frozen=True)
 class Meaning:
-    """Goals that are the same in all scenes.
+    """A set of goals that are equivalent in all scenes.
 
     Attributes:
         goal: the most probable one.
-        weight: the probability of all of them.
+        weight: their total prior probability.
     """
 
     goal: Goal
@@ -74,14 +74,14 @@ class Meaning:
 
 
 class Language:
-    """The selections of at most two parts and the goals of one part, in some scenes.
+    """The selections of at most two parts and the goals of one part, in given scenes.
 
     Attributes:
-        alternatives: the selections that name the same blocks in all scenes, with their weights.
+        alternatives: by the blocks named in each scene, the selections that name them, and weights.
     """
 
     def __init__(self, scenes: Sequence[Scene]) -> None:
-        """Find all selections that name a block in each scene."""
+        """Find all selections that name at least one block in each scene."""
         self.scenes = scenes
         self._named: dict[Selection, Named] = {}
         self.alternatives: dict[Named, dict[Selection, float]] = {}
@@ -95,7 +95,7 @@ class Language:
         return tuple(selection.blocks(scene) for scene in self.scenes)
 
     def _selections(self) -> Iterator[tuple[Selection, float, Named]]:
-        """Selections of at most two parts, their bits, and what they name."""
+        """Selections of at most two parts, their bits, and the blocks that they name."""
         everything = self.named_by(AllBlocks())
         single = [(s, bits_of_part(s), self.named_by(s)) for s in simple_expressions(Selection)]
         but = choice(AllBut)
@@ -114,7 +114,7 @@ class Language:
                 yield And(a, b), choice(And) + bits_a + bits_b, _and(in_a, in_b)
 
     def meanings(self) -> Iterator[Meaning]:
-        """Every goal of one part."""
+        """The meanings of all goals of one part."""
         alternatives = self.alternatives.values()
         chosen = [(max(each, key=each.__getitem__), sum(each.values())) for each in alternatives]
         places = [(place, _probability(bits_of_part(place))) for place in simple_expressions(Place)]
@@ -133,11 +133,11 @@ class Language:
             yield Meaning(goal, _probability(bits_of_part(goal)))
 
     def literal(self, goal: Goal, number: int) -> Goal:
-        """The goal in one of the scenes, with the blocks that its selections name there."""
+        """The goal in scene `number`, with the blocks named there in place of the selections."""
         return replace_selections(goal, lambda s: Chosen(self._named[s][number]))
 
     def wordings(self, goal: Goal, most: int) -> Iterator[tuple[Goal, float]]:
-        """Goals of the same meaning and their shares, with the `most` probable of selections."""
+        """Goals of the same meaning, with each selection's `most` probable wordings, and shares."""
         choices = []
         for selection in outer_selections(goal):
             among = self.alternatives[self._named[selection]]
@@ -162,7 +162,7 @@ def _and(a: Named, b: Named) -> Named:
 
 
 def outer_selections(expression: Expression) -> Iterator[Selection]:
-    """The selections in an expression that are in no other, in order."""
+    """The selections in an expression that are not part of another selection, in order."""
     if isinstance(expression, Selection):
         yield expression
         return
@@ -174,7 +174,7 @@ def outer_selections(expression: Expression) -> Iterator[Selection]:
 def replace_selections(
     expression: AnyExpression, replace: Callable[[Selection], Selection]
 ) -> AnyExpression:
-    """The expression with each selection in it replaced."""
+    """The expression with each of its outer selections replaced."""
     if isinstance(expression, Selection):
         return cast(AnyExpression, replace(expression))
     return type(expression)(

@@ -1,4 +1,4 @@
-"""A picture of what is believed of tasks: what would be moved first in Demo, and where to."""
+"""A picture of beliefs about tasks: what would be moved first in Demo, and where to."""
 
 import textwrap
 from collections.abc import Mapping
@@ -16,17 +16,17 @@ from magical.scene import Poses
 from magical.tasks import get_task
 
 COLUMNS = 4
-SIZE, HEADING = 3.0, 0.5  # inches of a scene and of what stands above it
+SIZE, HEADING = 3.0, 0.5  # inches: the side of a scene, the height of its heading
 PIXELS = 384
 EXTENT = (-VIEW_HALF, VIEW_HALF, -VIEW_HALF, VIEW_HALF)  # units: left, right, bottom, top
-PLACES = (-BORDER, BORDER, -BORDER, BORDER)  # units: the same of the places
+PLACES = (-BORDER, BORDER, -BORDER, BORDER)  # units: the same for the places
 
 
 def draw_beliefs(beliefs: Mapping[str, Belief], path: Path) -> None:
-    """Draw each task's Demo scene and what is believed of it.
+    """Draw each task's Demo scene and the belief about the task.
 
-    The number on a block is the probability that it must be moved, that on the robot that the
-    robot must. An arrow shows the first move; where it is darker, less work would be left.
+    The number on a block, or on the robot, is the probability that it has to move. An arrow shows
+    the first move; darker places are those that would leave less work.
 
     Raises:
         MissingDependencyError: the extra `report` is not installed.
@@ -47,7 +47,7 @@ def draw_beliefs(beliefs: Mapping[str, Belief], path: Path) -> None:
 
 
 def _draw(axis: Any, task: str, belief: Belief) -> None:
-    """Fill a panel."""
+    """Fill one task's panel."""
     scene = get_task(task).demo
     poses = Poses.at_rest(scene)
     intention = Intention(belief, scene)

@@ -1,10 +1,10 @@
 """The posterior over programs, given demonstrations of one task.
 
-Goals of one part are all weighed, then the best of them together with each other: a beam search by
-posterior probability. At first only one demonstration is looked at, then all for the best goals.
+All goals of one part are scored, then pairs of the best ones: a beam search by posterior
+probability. Goals are first scored on one demonstration, and the best ones then on all.
 
 Demonstrations of one scene share their demonstrator's habits, such as the side from which a block
-is pushed, which a goal may fit by chance. So n demonstrations count as the square root of n.
+is pushed, which a goal may fit by chance. So n demonstrations count as sqrt(n) independent ones.
 """
 
 import math
@@ -19,30 +19,31 @@ from magical.learning.intent.demonstrator import Episode
 from magical.learning.intent.meanings import Language, Meaning
 from magical.tasks.programs import Goal
 
-FIRST_PASS = 150  # meanings of the first demonstration that are held against all
+FIRST_PASS = 150  # best meanings by the first demonstration, which are scored on all
 BEAM = 24  # meanings that are combined with each other
-MOST = 100  # explanations that are kept
-WORDINGS = 6  # selections of the same blocks that are told apart
-LEAST_WEIGHT = 0.5  # of the most probable meaning: below, it is not known which
-LEAST_SHARE = 1e-3  # of the most probable meaning's weight: less is left out
+MOST = 100  # explanations to keep
+WORDINGS = 6  # selections of the same blocks to keep
+LEAST_WEIGHT = 0.5  # least probability of a program, or of a meaning, that counts as known
+LEAST_SHARE = 1e-3  # share of the most probable meaning's weight: less is left out
 
-Scored = list[tuple[float, Meaning]]  # logarithm of the posterior probability, unnormalised
+Scored = list[tuple[float, Meaning]]  # the unnormalised log-posterior
 
 
 class Explanation(NamedTuple):
-    """A program and its probability, if there is any program."""
+    """A program and its probability, given that there is a program."""
 
     program: Goal
     weight: float
 
 
 class Belief(NamedTuple):
-    """What is believed of a task.
+    """The belief about a task.
 
     Attributes:
         explanations: the most probable first.
         unexplained: the probability that there is no program.
-        largest: the probability of the most probable meaning, however it is written.
+        largest: the probability of the most probable meaning in all its wordings, given that there
+            is a program.
     """
 
     explanations: Sequence[Explanation]
@@ -56,12 +57,12 @@ class Belief(NamedTuple):
 
     @property
     def is_known(self) -> bool:
-        """Whether it is known, too, what the programs mean in the demonstrated scenes."""
+        """Whether the meaning of the programs in the demonstrated scenes is known, too."""
         return self.is_explained and self.largest >= LEAST_WEIGHT
 
     @property
     def verdict(self) -> str:
-        """The same in a sentence."""
+        """The belief in a sentence."""
         if not self.is_explained:
             return f"no program explains the demonstrations (probability {self.unexplained:.2f})"
         known = "known" if self.is_known else "not known"
@@ -69,7 +70,7 @@ class Belief(NamedTuple):
 
 
 def infer(episodes: Sequence[Episode]) -> Belief:
-    """The posterior of the programs that demonstrations have in common."""
+    """The posterior over the program that the demonstrations have in common."""
     search = _Search(episodes)
     found = search.run()
     weights = [math.exp(value - found[0][0]) for value, _ in found]
@@ -88,7 +89,7 @@ def infer(episodes: Sequence[Episode]) -> Belief:
 
 
 class _Search:
-    """For the most probable meanings."""
+    """The search for the most probable meanings."""
 
     def __init__(self, episodes: Sequence[Episode]) -> None:
         self.language = Language([episode.scene for episode in episodes])
@@ -96,16 +97,16 @@ class _Search:
         self._episodes = episodes
 
     def run(self) -> Scored:
-        """The best first: goals of one part, and pairs of them."""
+        """The meanings of goals of one part and of pairs of them, the best first."""
         single = self._in_two_passes(self.language.meanings())
         pairs = [a & b for (_, a), (_, b) in combinations(single[:BEAM], 2)]
         return sorted(single + self._in_two_passes(pairs), key=lambda pair: -pair[0])
 
     def probability_of_none(self, found: Scored) -> float:
-        """That the demonstrator has no program, which is as probable as any before.
+        """The probability that the demonstrator has no program; the prior odds are even.
 
-        Unlike the programs it is weighed by all demonstrations in full, whose random moves would
-        have nothing in common.
+        Here all demonstrations count in full, unlike when programs are compared with each other:
+        random moves would have nothing in common.
         """
         slips = sum(episode.log_likelihood_of_slips for episode in self._episodes)
         scale = len(self._episodes) / self.evidence
@@ -116,12 +117,12 @@ class _Search:
         return float(expit(-np.logaddexp.reduce(gains)))
 
     def _in_two_passes(self, meanings: Iterable[Meaning]) -> Scored:
-        """Those that the first demonstration leaves most probable, held against all."""
+        """The most probable meanings by the first demonstration, scored on all."""
         best = self._score(meanings, 1)[:FIRST_PASS]
         return self._score((meaning for _, meaning in best), len(self._episodes))
 
     def _score(self, meanings: Iterable[Meaning], count: int) -> Scored:
-        """The best first, as if all demonstrations were like the first `count`."""
+        """Score meanings, the best first, as if all demonstrations were like the first `count`."""
         found = [(math.log(m.weight) + self._likelihood(m.goal, count), m) for m in meanings]
         return sorted(found, key=lambda pair: -pair[0])
 

@@ -11,7 +11,7 @@ from magical.scene.scene import Pose
 
 
 def parsed_scene(parsed: ParsedFrames, frame: int) -> Scene:
-    """The scene of one frame; blocks are numbered as parsed, and their angles are not known."""
+    """The scene of one frame; blocks are numbered as parsed, with unknown angles set to 0."""
     blocks = [
         Block(SHAPES[shape], COLOURS[colour], Pose(x, y, 0.0))
         for (x, y), colour, shape in zip(
@@ -30,7 +30,7 @@ def parsed_scene(parsed: ParsedFrames, frame: int) -> Scene:
 
 
 def parsed_poses(parsed: ParsedFrames, frame: int, scene: Scene) -> Poses:
-    """The poses in a frame of an episode that started from the scene, tracked since then."""
+    """The poses in a frame of an episode that started from the scene and was tracked since."""
     bodies = Poses.at_rest(scene).bodies
     bodies[ROBOT] = parsed.robot[frame]
     bodies[FIRST_BLOCK:, :2] = parsed.blocks[frame, : len(scene.blocks)]
@@ -38,10 +38,10 @@ def parsed_poses(parsed: ParsedFrames, frame: int, scene: Scene) -> Poses:
 
 
 def parsed_episode(shown: ParsedDemonstration, rng: np.random.Generator) -> Episode:
-    """A demonstration by its carries; without any, by where the robot went."""
+    """A demonstration as its first state and those after its carries; without any, the last."""
     parsed, scene = shown.parsed, parsed_scene(shown.parsed, 0)
     ends = [last + 1 for _, _, last in shown.carries]
-    if ends:  # where a carry leaves the robot was no goal
+    if ends:  # where a carry leaves the robot is not a goal
         parsed = parsed._replace(robot=np.repeat(parsed.robot[:1], len(parsed.robot), axis=0))
     times = [0, *(ends or [len(shown.trajectory)])]
     return Episode(scene, [parsed_poses(parsed, t, scene) for t in times], rng)

@@ -1,18 +1,18 @@
-"""The network architectures, a file each; the file's name is the architecture's.
+"""The network architectures, one per file; the file's name is the architecture's.
 
-Such a file defines
+Each file defines
 
 - `HIDDEN`: the sizes of the linear layers that follow the convolutions, and
 - `make_convolutions(channels, batch_norm)`: a module from images (B, channels, H, W), float in
   [0, 1] or [-1, 1], to feature maps of any shape (B, ...).
 
-Other distributions offer a module or an object with these two by entry points of the group
-`magical.networks`, and any other is named by `module:NAME`, an encoder of the library timm by
-`timm:MODEL`. What was trained elsewhere also has `PRETRAINED`, which is true, and what takes images
-in one range only has `PIXEL_RANGE`: see `magical.learning.encoders`.
+Other distributions provide a module or an object with these two through entry points of the group
+`magical.networks`. Any other is named by `module:NAME`, an encoder from the library timm by
+`timm:MODEL`. Pre-trained architectures also have `PRETRAINED`, which is true, and those that accept
+only one range of pixels have `PIXEL_RANGE`: see `magical.learning.encoders`.
 
 `magical.learning.models.Trunk` puts the parts together and adds what all architectures share: the
-action input of discriminators, and linear layers alone for state vectors.
+action input of discriminators, and linear layers only for state vectors.
 """
 
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 @runtime_checkable
 class Architecture(Protocol):
-    """What a file in this folder defines."""
+    """An architecture, as defined by each file in this folder."""
 
     @property
     def HIDDEN(self) -> tuple[int, ...]:
@@ -36,7 +36,7 @@ class Architecture(Protocol):
 
 
 GROUP = "magical.networks"  # of entry points
-TIMM = "timm:"  # before the name of a model of PyTorch Image Models
+TIMM = "timm:"  # prefix of the name of a model from PyTorch Image Models
 
 _NETWORKS: Registry[Architecture] = Registry(
     "network",
@@ -47,16 +47,16 @@ _NETWORKS: Registry[Architecture] = Registry(
 
 
 def network_names() -> tuple[str, ...]:
-    """Every architecture, of this and of other distributions, alphabetically; imports none."""
+    """The sorted names of all architectures, of this and other distributions; imports none."""
     return tuple(_NETWORKS.names())
 
 
 def find_network(name: str) -> Architecture:
-    """An architecture by name, by `module:NAME`, or by `timm:MODEL`.
+    """Find an architecture by its name, by `module:NAME`, or by `timm:MODEL`.
 
     Raises:
-        UnknownNameError: there is none of this name.
-        PluginError: it is another distribution's and cannot be imported.
+        UnknownNameError: there is no architecture with this name.
+        PluginError: it belongs to another distribution and cannot be imported.
         MissingDependencyError: timm is not installed.
     """
     if name.startswith(TIMM):
@@ -67,5 +67,5 @@ def find_network(name: str) -> Architecture:
 
 
 def is_pretrained(name: str) -> bool:
-    """Whether an architecture has weights from elsewhere; raises what `find_network` raises."""
+    """Whether an architecture has pre-trained weights; raises what `find_network` raises."""
     return is_plugin(GROUP, name) and getattr(find_network(name), "PRETRAINED", False)

@@ -1,4 +1,4 @@
-"""`light` with half the channels."""
+"""`light` with half the channels in its first two convolutions."""
 
 from torch import nn
 
@@ -9,5 +9,5 @@ HIDDEN = (256,)
 
 
 def make_convolutions(channels: int, batch_norm: bool) -> nn.Module:
-    """Images (B, channels, 96, 96) to feature maps (B, 64, 6, 6)."""
+    """A module from images (B, channels, 96, 96) to feature maps (B, 64, 6, 6)."""
     return stack_convolutions(channels, CONVOLUTIONS, batch_norm)

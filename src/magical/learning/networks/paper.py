@@ -7,7 +7,7 @@ HIDDEN = (256, 256)
 
 
 def make_convolutions(channels: int, batch_norm: bool) -> nn.Module:
-    """Images (B, channels, 96, 96) to feature maps (B, 128, 6, 6)."""
+    """A module from images (B, channels, 96, 96) to feature maps (B, 128, 6, 6)."""
     return stack_convolutions(channels, CONVOLUTIONS, batch_norm)
 
 
@@ -17,9 +17,9 @@ def stack_convolutions(
     """Convolutions as in Fig. 11: padded to keep size / stride, each followed by a ReLU.
 
     Args:
-        channels: of the input.
+        channels: the input's channels.
         layers: output channels, kernel size and stride of each convolution.
-        batch_norm: follow each ReLU by batch norm; the convolutions then have no bias.
+        batch_norm: follow each ReLU with batch norm; the convolutions then have no bias.
     """
     modules: list[nn.Module] = []
     for out, kernel, stride in layers:

@@ -9,5 +9,5 @@ HIDDEN = (256,)
 
 
 def make_convolutions(channels: int, batch_norm: bool) -> nn.Module:
-    """Images (B, channels, 96, 96) to feature maps (B, 64, 6, 6)."""
+    """A module from images (B, channels, 96, 96) to feature maps (B, 64, 6, 6)."""
     return stack_convolutions(channels, CONVOLUTIONS, batch_norm)

@@ -1,9 +1,9 @@
 """Scenes as objects: parsed from pixels, related to each other, acted on.
 
-- `parser`: frames to the objects in them, from `components` of colours.
+- `parser`: finds the objects in frames, from connected `components` of colours.
 - `table`: a batch of parsed scenes as tensors.
 - `hindsight`: which block a demonstration moved, and where to, from the recorded frames alone.
-- `relations`: how a block, at a place, relates to the other objects.
+- `relations`: how a block at a place relates to the other objects.
 - `goals`: a model of which block is moved next and where to, from its relations.
-- `control`: a network that moves the chosen block there, seen from the robot.
+- `control`: a network that moves the chosen block there, in the robot's frame.
 """

@@ -1,10 +1,10 @@
-"""The components of colours in a frame: pixels of one kind of object that are connected.
+"""The connected components of a frame: pixels of one kind of object that are connected.
 
-A frame is a grid with a border of one pixel on every side, so that every pixel of it has four
-neighbours; grids are flat.
+A grid is flat and holds a frame with a border of one pixel on every side, so that each of the
+frame's pixels has four neighbours.
 
-Goal regions are the rectangles of each region colour's components. A robot or block on a region
-splits it; parts are joined where no workspace lies between.
+Goal regions are the bounding rectangles of each region colour's components. A robot or block on a
+region can split it; parts are joined if no empty workspace lies between them.
 """
 
 import numpy as np
@@ -20,17 +20,17 @@ Ints = NDArray[np.int64]
 Pixels = NDArray[np.uint8]
 Grid = NDArray[np.int32]  # (GRID * GRID,)
 
-VIEW_HALF = 1.02  # units: half of what the allocentric camera shows
+VIEW_HALF = 1.02  # units: half the side of the allocentric camera's view
 PIXEL = 2 * VIEW_HALF / FRAME_SIZE  # units
 
 GRID = FRAME_SIZE + 2
 NEIGHBOURS = (-GRID, -1, 1, GRID)
 NOTHING, BODY, BLOCK, REGION, OPEN = range(5)  # kinds of pixels
-AREA, TOP, BOTTOM, LEFT, RIGHT, KIND, COLOUR = range(7)  # of a component, in pixels of the grid
+AREA, TOP, BOTTOM, LEFT, RIGHT, KIND, COLOUR = range(7)  # columns of `parts`; in frame pixels
 
-MAX_REGIONS = 3  # of the benchmark's tasks
+MAX_REGIONS = 3  # the most in any of the benchmark's tasks
 MIN_REGION_PIXELS = 12
-MAX_REGION_PIXELS = 40  # of a side: 0.8 units and a margin
+MAX_REGION_PIXELS = 40  # along a side: 0.8 units and a margin
 MAX_WHITE = 14  # pixels within one region: the robot's eyes; a gap between two has more
 REGION_MARGIN = 0.36  # pixels between a region's outermost exact pixels and its edge
 
@@ -49,19 +49,19 @@ GREY_LEVELS = np.array(GREY)
 
 @inlined
 def pixel_x(column: float) -> float:
-    """The workspace's x at the centre of a pixel of the frame."""
+    """The workspace x of the centres of a frame's pixel column."""
     return (column + 0.5) * PIXEL - VIEW_HALF
 
 
 @inlined
 def pixel_y(row: float) -> float:
-    """The workspace's y at the centre of a pixel of the frame."""
+    """The workspace y of the centres of a frame's pixel row."""
     return VIEW_HALF - (row + 0.5) * PIXEL
 
 
 @merged
 def classify(frame: Pixels, codes: Grid, kinds: Grid, robot_alone: bool) -> None:
-    """Each pixel's colour as one integer, and which kind of object has it."""
+    """Fill in each pixel's colour as one integer, and the kind of object that has it."""
     for row in range(FRAME_SIZE):
         for column in range(FRAME_SIZE):
             red, green, blue = frame[row, column, 0], frame[row, column, 1], frame[row, column, 2]
@@ -76,7 +76,7 @@ def classify(frame: Pixels, codes: Grid, kinds: Grid, robot_alone: bool) -> None
 
 @inlined
 def flood(kinds: Grid, labels: Grid, stack: Grid, start: int, label: int) -> None:
-    """Label all pixels of a pixel's kind that are connected with it."""
+    """Label all pixels of the start's kind that are connected to it."""
     kind, depth = kinds[start], 1
     stack[0], labels[start] = start, label
     while depth > 0:
@@ -92,7 +92,7 @@ def flood(kinds: Grid, labels: Grid, stack: Grid, start: int, label: int) -> Non
 
 @merged
 def number_components(kinds: Grid, labels: Grid, stack: Grid) -> int:
-    """Number the components of each kind in the order of their first pixels; from 1, 0 is none."""
+    """Number all components from 1, in the order of their first pixels; returns how many."""
     number = 0
     for pixel in range(GRID * GRID):
         labels[pixel] = 0
@@ -107,7 +107,7 @@ def number_components(kinds: Grid, labels: Grid, stack: Grid) -> int:
 def measure(
     codes: Grid, kinds: Grid, labels: Grid, number: int, parts: Ints, centres: Floats
 ) -> None:
-    """Each component's row of `parts` and its centre."""
+    """Fill in each component's row of `parts` and its centre."""
     for k in range(number + 1):
         parts[k, AREA] = 0
         parts[k, TOP] = parts[k, LEFT] = GRID
@@ -137,9 +137,9 @@ def measure(
 def find_regions(
     codes: Grid, parts: Ints, number: int, boxes: Ints, regions: Floats, colours: Ints
 ) -> None:
-    """Write centre, half the width and height, and colour of each region.
+    """Fill in the centre, half width and half height, and the colour of each region.
 
-    `boxes` is memory for as many components as there are.
+    `boxes` is scratch memory with a row for every component.
     """
     found = 0
     for colour in range(len(REGIONS)):
@@ -169,7 +169,7 @@ def find_regions(
 
 @inlined
 def _boxes_of(parts: Ints, number: int, colour: int, boxes: Ints) -> int:
-    """The areas and limits of the regions' components of a colour, largest first; how many."""
+    """Fill in areas and limits of a colour's region components, largest first; returns how many."""
     count = 0
     for k in range(1, number + 1):
         if parts[k, KIND] == REGION and parts[k, COLOUR] == colour:
@@ -186,7 +186,7 @@ def _boxes_of(parts: Ints, number: int, colour: int, boxes: Ints) -> int:
 
 @inlined
 def _join(codes: Grid, boxes: Ints, k: int) -> bool:
-    """Extend the first box to the k-th if both can be one region."""
+    """Extend the first box to the k-th if both can be one region; returns whether they can."""
     top, bottom = min(boxes[0, TOP], boxes[k, TOP]), max(boxes[0, BOTTOM], boxes[k, BOTTOM])
     left, right = min(boxes[0, LEFT], boxes[k, LEFT]), max(boxes[0, RIGHT], boxes[k, RIGHT])
     if max(bottom - top, right - left) >= MAX_REGION_PIXELS:
@@ -204,7 +204,7 @@ def _join(codes: Grid, boxes: Ints, k: int) -> bool:
 
 @inlined
 def _drop_contained(boxes: Ints, count: int) -> int:
-    """Remove the boxes within the first one; how many are left with it."""
+    """Remove the boxes within the first one; returns how many are left, including it."""
     left = 1
     for k in range(1, count):
         rows = boxes[0, TOP] <= boxes[k, TOP] and boxes[0, BOTTOM] >= boxes[k, BOTTOM]

@@ -1,9 +1,9 @@
-"""The network that moves a target to its destination: actions from what the robot sees of it.
+"""The network that moves a target to its destination: actions from inputs in the robot's frame.
 
-Its inputs are in the robot's frame and know neither task, colours nor shapes: target, destination,
-fingers, and the walls and blocks within ranges. So it is the same for all tasks, and left and right
-are interchangeable. Ranges are short: in a single scene, distant walls and blocks would tell where
-the robot is, and the network would learn what was done there.
+The inputs contain no task, colours or shapes, only target, destination, fingers, and the walls and
+blocks within range. So the network is shared by all tasks, and left and right are interchangeable.
+The ranges are short: in a single scene, distant walls and blocks would reveal where the robot is,
+and the network would learn what was done there.
 """
 
 import torch
@@ -14,8 +14,8 @@ from magical.learning.objects.table import GRIP, ObjectTable
 from magical.scene import NUM_ACTIONS
 
 FOCUS = 0.15  # units: the length scale of nearness
-HELD = 2  # blocks nearest to the fingers, which have inputs of their own
-HIDDEN = 256  # units in the layers
+HELD = 2  # number of blocks nearest to the fingers that have separate inputs
+HIDDEN = 256  # width of the layers
 
 
 def control_inputs(
@@ -26,19 +26,19 @@ def control_inputs(
     wall_range: float,
     mirrored: Tensor | None = None,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """What the controller sees.
+    """The inputs of the controller.
 
     Args:
         table: B scenes.
         targets: (B,), a block's number or ROBOT_TARGET.
         destinations: (B, 2).
-        block_range: units from the robot's centre, and from between its fingers: blocks farther
-            away are left out, but for the target.
-        wall_range: units from the robot's centre, the target and the destination, for walls.
-        mirrored: (B,) bool, the scenes whose left and right are exchanged.
+        block_range: units from the robot's centre, and from the point between its fingers; blocks
+            farther away are left out, except from the target's own inputs.
+        wall_range: the same for walls, from the robot's centre, the target and the destination.
+        mirrored: (B,) bool, whether left and right are exchanged in a scene.
 
     Returns:
-        Inputs (B, F); inputs of every block (B, N, T); which blocks are near (B, N).
+        Inputs (B, F); inputs for every block (B, N, T); which blocks are near (B, N).
     """
     view = _RobotView(table, mirrored)
     robot = targets == ROBOT_TARGET
@@ -65,7 +65,7 @@ def control_inputs(
 
 
 class _RobotView:
-    """Workspace coordinates to the robot's frame (x to the right, y ahead), mirrored or not."""
+    """Maps workspace coordinates to the robot's frame (x right, y ahead), mirrored or not."""
 
     def __init__(self, table: ObjectTable, mirrored: Tensor | None) -> None:
         self._table = table
@@ -85,7 +85,7 @@ class _RobotView:
         return torch.stack([torch.where(self._mirrored, -right, right), ahead], dim=-1)
 
     def fingers(self) -> Tensor:
-        """How far both fingers are open, roughly of unit size: (B, 2)."""
+        """The opening angles of both fingers, scaled to about 1: (B, 2)."""
         values = 3 * self._table.fingers
         return torch.where(self._mirrored, values.flip(1), values)
 
@@ -101,14 +101,14 @@ class _RobotView:
 
 
 def _polar(vectors: Tensor) -> Tensor:
-    """Vectors (..., K, 2) with length, direction and nearness: (..., 6K)."""
+    """Vectors (..., K, 2) with their length, direction and nearness: (..., 6K)."""
     length = vectors.norm(dim=-1, keepdim=True)
     parts = vectors, length, vectors / (length + 0.05), torch.exp(-length / FOCUS)
     return torch.cat(parts, dim=-1).flatten(-2)
 
 
 def _held(blocks: Tensor, is_target: Tensor, present: Tensor, limit: float) -> Tensor:
-    """The blocks nearest to the fingers: (B, HELD * 5)."""
+    """Inputs for the blocks nearest to the fingers: (B, HELD * 5)."""
     offsets = blocks - torch.tensor([0.0, GRIP], device=blocks.device)
     distances = offsets.norm(dim=2).masked_fill(~present, limit)
     nearest = distances.argsort(dim=1)[:, :HELD, None]
@@ -121,7 +121,7 @@ def _held(blocks: Tensor, is_target: Tensor, present: Tensor, limit: float) -> T
 
 
 class Controller(nn.Module):
-    """Logits of the 18 actions; pooling blocks by their maximum makes their order irrelevant."""
+    """Predicts logits of the 18 actions; max-pooling over blocks makes their order irrelevant."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -137,7 +137,7 @@ class Controller(nn.Module):
         )
 
     def forward(self, own: Tensor, blocks: Tensor, near: Tensor) -> Tensor:
-        """Logits (B, 18) of what `control_inputs` returns."""
+        """Logits (B, 18) for the inputs that `control_inputs` returns."""
         pooled = (self.block(blocks) * near[..., None]).amax(dim=1)
         logits: Tensor = self.layers(torch.cat([own, pooled], dim=1))
         return logits

@@ -1,4 +1,4 @@
-"""Demonstrations as training data of the object-centred learner."""
+"""Demonstrations as training data for the object-centred learners."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -20,8 +20,8 @@ from magical.learning.objects.table import to_table, to_tensor
 from magical.observe import PRESETS
 
 OBSERVATION = "LoRes4A"  # the allocentric camera sees every object
-CHUNK = 256  # frames or samples at a time
-STILL, STILL_FINGERS = 0.004, 0.02  # units or rad in a step, rad: more is motion
+CHUNK = 256  # frames or samples that are processed at a time
+STILL, STILL_FINGERS = 0.004, 0.02  # units or rad, rad per step: more is motion
 
 
 class ParsedDemonstration(NamedTuple):
@@ -42,7 +42,7 @@ class ObjectData:
 
     Attributes:
         table: S scenes.
-        relations: of every block where it lies, (S, N, R).
+        relations: (S, N, R), of every block where it lies.
         targets: (S,) int64.
         destinations: (S, 2) float32.
         actions: (S,) int64, the trajectories' labels.
@@ -57,10 +57,10 @@ class ObjectData:
     ) -> None:
         """Find the goals of all steps.
 
-        Steps in which a watched policy acted by itself are never sampled.
+        Steps in which a watched policy acted on its own are never sampled.
 
         Raises:
-            DemonstrationsError: no samples are left of a task.
+            DemonstrationsError: no samples of a task are left.
         """
         trajectories = [each.trajectory for each in demonstrations]
         parsed = ParsedFrames.joined(each.parsed.select(slice(-1)) for each in demonstrations)
@@ -88,7 +88,7 @@ class ObjectData:
                 )
 
     def sample_eventful(self, size: int, rng: np.random.Generator) -> Tensor:
-        """Sample rows with replacement, without idle ones while a block is the target.
+        """Sample rows with replacement, except idle ones with a block as the target.
 
         A memoryless policy that clones idling may idle forever, since its input does not change.
         """
@@ -103,7 +103,7 @@ class ObjectData:
 
 
 def _moves(parsed: ParsedFrames) -> NDArray[np.bool_]:
-    """Whether robot, fingers or a block move in each step, (T,)."""
+    """Whether the robot, a finger or a block moves in each step, (T,)."""
     robot = np.abs(np.diff(parsed.robot, axis=0)).max(axis=1) > STILL
     fingers = np.abs(np.diff(parsed.fingers, axis=0)).max(axis=1) > STILL_FINGERS
     blocks = np.abs(np.diff(parsed.blocks, axis=0)).max(axis=(1, 2)) > STILL
@@ -114,7 +114,7 @@ def _moves(parsed: ParsedFrames) -> NDArray[np.bool_]:
 def parse_demonstrations(
     demonstrations: TaskTrajectories, perception: Perception
 ) -> list[ParsedDemonstration]:
-    """Find the objects in all frames of demonstrations."""
+    """Find the objects in all frames of the demonstrations."""
     return [
         ParsedDemonstration(task, trajectory, parse_trajectory(trajectory, perception))
         for task, trajectory in demonstrations
@@ -122,7 +122,7 @@ def parse_demonstrations(
 
 
 def parse_trajectory(trajectory: Trajectory, perception: Perception) -> ParsedFrames:
-    """The objects of all time steps, with blocks numbered as in the first."""
+    """The objects in all frames, with blocks numbered as in the first."""
     (component,) = PRESETS[OBSERVATION].components
     source, steps = TrajectorySource(trajectory), np.arange(len(trajectory) + 1)
     parts = []

@@ -1,11 +1,11 @@
 """Which block is moved next, and where to: sums of functions of single relations.
 
 Each relation has a piecewise linear function, learned for each task. The logit of a block is the
-sum over its relations where it lies; the logit of a destination the sum over the relations that the
-block would have there. A sum has no order, and each term is bound to one kind of object, so the
-model carries over to other counts, colours and layouts. Nothing is left to do once no block
-has a high score. The model is trained by maximum likelihood of the goals found in
-hindsight, with a group lasso: few and simple relations have to explain all demonstrations.
+sum over the relations that it has where it lies; the logit of a destination is the sum over those
+that the block would have there. A sum has no order, and each term depends on one kind of object, so
+the model carries over to other counts, colours and layouts. Nothing is left to do once no block has
+a high score. The model is trained by maximum likelihood of the goals found in hindsight, with a
+group lasso: few and simple relations have to explain all demonstrations.
 """
 
 import torch
@@ -18,36 +18,36 @@ from magical.learning.objects.table import ObjectTable
 
 GRIP_KNOTS = (0.04, 0.08, 0.14, 0.22, 0.32)  # units from the point between the fingers
 GRIP_PENALTY = 0.5
-NEARNESS = 1.0  # logits lost by each unit from fingers to block, from block to place: breaks ties
+NEARNESS = 1.0  # logits lost per unit from fingers to block, from block to place: breaks ties
 TINY = 1e-4  # added to a squared norm, which keeps the norm differentiable at 0
-CANDIDATES = 64  # random places beside each destination in training, the negatives
+CANDIDATES = 64  # random places per destination in training: the negatives
 BORDER = 0.95  # units: the cells of destinations are within [-BORDER, BORDER]
 CELLS = 16  # of the grid of destinations, along each axis
-STEPS = 2  # finer places to either side of the best cell's centre
+STEPS = 2  # finer places on either side of the best cell's centre
 IMPOSSIBLE = -1e9
-SURE = 0.8  # probability of having finished at which to stop: too late costs less than too soon
-LARGE = 30.0  # logits: where there is no block, the highest score counts as its negative
-DESTINATION = 2.0  # sparsity of the destinations' functions, times that of the others
+SURE = 0.8  # probability of being done at which to stop: too late costs less than too early
+LARGE = 30.0  # logits: if there is no block, the highest score counts as -LARGE
+DESTINATION = 2.0  # sparsity of the destinations' functions, relative to the others
 LEFT_OUT = 0.25  # norm of a function's values below which its relation is left out
-REFITTED = 0.2  # share of the sparsity that is kept after that
+REFITTED = 0.2  # share of the sparsity that applies after that
 SMOOTHNESS = 0.01  # weight of the squared second differences
-AT_PLACE, OUT_OF_GRIP = 0.06, 0.1  # units: less than any move; from the point between the fingers
+AT_PLACE, OUT_OF_GRIP = 0.06, 0.1  # units: less than any move; distance from between the fingers
 
 CELL = 2 * BORDER / CELLS  # units
 _AXIS = (torch.arange(CELLS) + 0.5) * CELL - BORDER
 GRID = torch.cartesian_prod(_AXIS, _AXIS)  # (CELLS * CELLS, 2)
-_WEIGHTS = torch.tensor([1.0, 2.0, 1.0]) / 4  # of a cell and its neighbours, along each axis
+_WEIGHTS = torch.tensor([1.0, 2.0, 1.0]) / 4  # for a cell and its neighbours, along each axis
 KERNEL = torch.outer(_WEIGHTS, _WEIGHTS)[None, None]
 _FINE_AXIS = torch.arange(-STEPS, STEPS + 1) * CELL / (STEPS + 1)
 FINE_GRID = torch.cartesian_prod(_FINE_AXIS, _FINE_AXIS)  # offsets from a cell's centre
 
 
 class PiecewiseLinear(nn.Module):
-    """A piecewise linear function of each of R numbers, summed; one set of functions per row."""
+    """The sum of piecewise linear functions of R numbers, with one of several sets per row."""
 
-    knots: Tensor  # (R, Q + 1); the last one stands for UNKNOWN
-    weights: Tensor  # (R,) of the penalty, the prior against each relation
-    used: Tensor  # (sets, R, 1) 1, or 0 for relations that were left out
+    knots: Tensor  # (R, Q + 1); the last one is UNKNOWN
+    weights: Tensor  # (R,) weights of the penalty: the prior against each relation
+    used: Tensor  # (sets, R, 1) 1, or 0 for functions that were left out
 
     def __init__(self, knots: list[tuple[float, ...]], penalties: list[float], sets: int) -> None:
         super().__init__()
@@ -58,14 +58,14 @@ class PiecewiseLinear(nn.Module):
         self.values = nn.Parameter(torch.zeros(sets, *table.shape))
 
     def wanted(self, sets: Tensor) -> list[int]:
-        """The numbers that any of the sets uses; at least one."""
+        """The positions of the numbers that any of the sets uses; at least one."""
         found: list[int] = self.used[sets, :, 0].any(dim=0).nonzero()[:, 0].tolist()
         return found or [0]
 
     def forward(self, numbers: Tensor, sets: Tensor, which: list[int] | None = None) -> Tensor:
-        """The sums (B, ...) of numbers (B, ..., R), with the functions of the sets (B,).
+        """The sums (B, ...) for numbers (B, ..., R), with the functions of the sets (B,).
 
-        If only some of the numbers are given, `which` says which.
+        If only some of the numbers are given, `which` has their positions.
         """
         knots, values = self.knots, (self.values * self.used).transpose(0, 1)
         if which is not None:
@@ -84,7 +84,7 @@ class PiecewiseLinear(nn.Module):
         return (upper * share + lower * (1.0 - share)).sum(dim=0).view(numbers.shape[:-1])
 
     def penalty(self, sparsity: float) -> Tensor:
-        """A group lasso on the functions, which leaves few of them, and squared second differences.
+        """A group lasso, which leaves few of the functions, plus squared second differences.
 
         Yuan and Lin, "Model selection and estimation in regression with grouped variables" (2006).
         """
@@ -96,12 +96,12 @@ class PiecewiseLinear(nn.Module):
 
     @torch.no_grad()
     def leave_out(self) -> None:
-        """Leave out, for good, the functions whose values have a smaller norm than LEFT_OUT."""
+        """Permanently leave out the functions whose values have a norm below LEFT_OUT."""
         self.used.mul_(self.values.norm(dim=2, keepdim=True) >= LEFT_OUT)
 
 
 class GoalModel(nn.Module):
-    """The likelihood of targets and destinations; see the module."""
+    """Predicts the likelihood of targets and destinations; see the module."""
 
     def __init__(self, num_tasks: int) -> None:
         super().__init__()
@@ -112,20 +112,20 @@ class GoalModel(nn.Module):
         self.finished_bias = nn.Parameter(torch.zeros(num_tasks))
         self.finished_slope = nn.Parameter(torch.ones(num_tasks))
         penalties = [r.destination_penalty for r in RELATIONS]
-        self.destination = PiecewiseLinear(  # of blocks and of the robot
+        self.destination = PiecewiseLinear(  # separate sets for blocks and the robot
             [r.knots[1] for r in RELATIONS], penalties, 2 * num_tasks
         )
 
     def target_logits(
         self, table: ObjectTable, relations: Tensor, tasks: Tensor, which: list[int] | None = None
     ) -> Tensor:
-        """Logits (B, N + 1): every block, and last that none is left to move.
+        """Logits (B, N + 1): one for every block, and a last one for none being left to move.
 
         Args:
             table: B scenes.
             relations: of every block where it lies, (B, N, R).
             tasks: (B,).
-            which: the relations that are given; None: all.
+            which: the positions of the relations that are given; None: all.
         """
         absent = ~table.present  # (B, N)
         scores = self.choice(relations, tasks, which).masked_fill(absent, IMPOSSIBLE)
@@ -152,9 +152,9 @@ class GoalModel(nn.Module):
     def decide(self, table: ObjectTable, tasks: Tensor) -> tuple[Tensor, Tensor]:
         """The targets (B,) and destinations (B, 2) to act on.
 
-        The robot itself is the target where it is likely enough that no block is left. A block
-        that lies at its destination, out of the gripper, gives way to the next likely one, and the
-        last one to the robot.
+        The robot itself is the target if it is likely enough that no block is left to move. A block
+        that lies at its destination, out of the gripper, is replaced by the next most likely one,
+        and the last one by the robot.
         """
         which = self.choice.wanted(tasks)
         logits = self.target_logits(table, relate_blocks(table, which), tasks, which)
@@ -175,9 +175,9 @@ class GoalModel(nn.Module):
         return targets, places
 
     def _best_places(self, table: ObjectTable, targets: Tensor, tasks: Tensor) -> Tensor:
-        """The best destinations (B, 2): the best cell of a grid, then the mean of places in it.
+        """The best destinations (B, 2): the weighted mean of places in the best cell of a grid.
 
-        A cell is judged by the likelihood of its neighbourhood, as no block is set down exactly.
+        A cell is judged by the likelihood of its neighbourhood, as no block is put down exactly.
         """
         places = GRID.to(targets.device).expand(table.size, -1, -1)
         likelihoods = self.destination_logits(table, targets, places, tasks).softmax(dim=1)
@@ -189,13 +189,13 @@ class GoalModel(nn.Module):
         return (weights[..., None] * places).sum(dim=1)
 
     def penalty(self, sparsity: float) -> Tensor:
-        """The functions' penalties, a mean over tasks."""
+        """The penalties of the functions, averaged over tasks."""
         choice = self.choice.penalty(sparsity) + self.grip.penalty(sparsity)
         destination = self.destination.penalty(DESTINATION * sparsity)
         return (choice + destination) / len(self.finished_bias)
 
     def leave_out(self) -> None:
-        """Leave out, for good, the functions with small values."""
+        """Permanently leave out the functions with small values."""
         for part in (self.choice, self.grip, self.destination):
             part.leave_out()
 
@@ -229,7 +229,7 @@ def goal_losses(
 
 
 def relate_blocks(table: ObjectTable, which: list[int] | None = None) -> Tensor:
-    """The relations of every block where it lies: (B, N, R), or those wanted."""
+    """The relations of every block where it lies, all or those in `which`: (B, N, R)."""
     count = table.blocks.shape[1]
     device = table.blocks.device
     repeated = table.select(torch.arange(table.size, device=device).repeat_interleave(count))
@@ -239,7 +239,7 @@ def relate_blocks(table: ObjectTable, which: list[int] | None = None) -> Tensor:
 
 
 def _already_there(table: ObjectTable, targets: Tensor, places: Tensor) -> Tensor:
-    """Which targets are blocks at their destinations and out of the gripper: (B,) bool."""
+    """Which targets are blocks that lie at their destinations, out of the gripper: (B,) bool."""
     rows = torch.arange(table.size, device=targets.device)
     block = table.blocks[rows, targets.clamp(min=0)]
     near = (block - places).norm(dim=1) < AT_PLACE

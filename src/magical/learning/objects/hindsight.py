@@ -1,10 +1,10 @@
 """What a demonstration did, from its recorded frames alone: which block was moved, and where to.
 
 A demonstration is cut into carries: spans in which one block moves, the one nearest to the gripper.
-Before and during a carry the target is its block, and the destination is where that block lay at
-its end. After the last carry the target is the robot, and the destination is where the robot stops.
-So every recorded state gets the goal that was reached from it (Andrychowicz et al., "Hindsight
-experience replay", NeurIPS 2017, relabel in the same way).
+Before and during a carry, the target is its block, and the destination is where that block lay when
+the carry ended. After the last carry, the target is the robot, and the destination is where the
+robot stops. So every recorded state gets the goal that was reached from it, as in the relabelling
+of Andrychowicz et al., "Hindsight experience replay", NeurIPS 2017.
 """
 
 import numpy as np
@@ -15,10 +15,10 @@ from magical.learning.objects.parser import ABSENT, MAX_BLOCKS, ParsedFrames
 from magical.learning.objects.table import GRIP
 
 ROBOT_TARGET = -1  # instead of a block's number
-MOVED = 0.005  # units in a control step: a block that moves; still ones are parsed alike
-GLIDE = 0.8  # of its speed: a block that nothing pushes keeps less in a control step
-MIN_CARRY = 0.08  # units: a block that is moved by less was only touched
-OTHER_COLOUR, OTHER_SHAPE = 2.0, 0.05  # the cost, in units, of tracking a block as one of another
+MOVED = 0.005  # units in a control step: more is motion; still blocks are parsed identically
+GLIDE = 0.8  # share of its speed: a block that nothing pushes keeps less in a control step
+MIN_CARRY = 0.08  # units: a block that moved less was only touched
+OTHER_COLOUR, OTHER_SHAPE = 2.0, 0.05  # units: cost of matching blocks that differ
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -27,7 +27,7 @@ Ints = NDArray[np.int64]
 def track(parsed: ParsedFrames) -> ParsedFrames:
     """The same frames with blocks numbered as in the first frame.
 
-    A block that is not found keeps its last position; surplus ones are left out.
+    A block that is not found keeps its last position; additional blocks are left out.
     """
     count = int((parsed.colours[0] != ABSENT).sum())
     blocks, colours = parsed.blocks.copy(), np.repeat(parsed.colours[:1], len(parsed.robot), axis=0)
@@ -53,8 +53,8 @@ def find_goals(robot: Floats, blocks: Floats, intended: NDArray[np.bool_]) -> tu
     Args:
         robot: (T + 1, 3) poses.
         blocks: (T + 1, N, 2) positions; absent ones never move.
-        intended: (T,), where the demonstrator's own action was executed: what random actions move
-            was no goal.
+        intended: (T,), whether the demonstrator's own action was executed: what other actions move
+            is not a goal.
 
     Returns:
         Targets (T,), a block's number or ROBOT_TARGET, and destinations (T, 2).
@@ -73,7 +73,7 @@ def find_goals(robot: Floats, blocks: Floats, intended: NDArray[np.bool_]) -> tu
 def find_carries(
     robot: Floats, blocks: Floats, intended: NDArray[np.bool_]
 ) -> list[tuple[int, int, int]]:
-    """Block, first and last step of each carry, in order."""
+    """The block, first step and last step of each carry, in order."""
     moved = _moved_on_purpose(blocks, intended)
     angle = robot[:-1, 2]
     grip = robot[:-1, :2] + GRIP * np.stack([-np.sin(angle), np.cos(angle)], axis=1)
@@ -89,9 +89,9 @@ def find_carries(
 
 
 def _moved_on_purpose(blocks: Floats, intended: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Which blocks move (T, N) in steps of the demonstrator's own, and do not only glide on.
+    """Which blocks (T, N) the demonstrator's own actions move, without those that only glide on.
 
-    A block glides on if a random action set it in motion and it has been losing speed since.
+    A block glides on if another action set it in motion and it has been losing speed since.
     """
     speeds = np.linalg.norm(np.diff(blocks, axis=0), axis=2)  # (T, N)
     moved = speeds > MOVED
@@ -110,7 +110,7 @@ def _moved_on_purpose(blocks: Floats, intended: NDArray[np.bool_]) -> NDArray[np
 
 
 def _spans(carried: Ints) -> list[tuple[int, int, int]]:
-    """Spans of one block each, across steps at which none moves."""
+    """Spans of one block each, which may contain steps in which no block moves."""
     spans: list[tuple[int, int, int]] = []
     for step in np.flatnonzero(carried < MAX_BLOCKS).tolist():
         block, start = int(carried[step]), step

@@ -2,9 +2,9 @@
 
 The parser is made for the benchmark's palette and shapes (docs/specification.md, sections 2, 3, 4
 and 6); only the constants of the shape classifier and of the fingers were fitted, on rendered
-scenes. The interiors of objects have exact colours, and what is mixed lies on an edge. So a block
-is a component of a fill colour (its darker outline keeps touching blocks apart), a goal region a
-rectangle of a region colour, and the robot's body the disc of grey around the eyes.
+scenes. The interiors of objects have exact colours; only pixels on edges are mixed. So a block is a
+component of a fill colour (its darker outline separates touching blocks), a goal region is a
+rectangle of a region colour, and the robot's body is the grey disc around the eyes.
 """
 
 import math
@@ -46,13 +46,13 @@ from magical.learning.objects.components import (
 )
 from magical.scene.constants import FINGER_ROOT_X, FINGER_ROOT_Y, FRAME_SIZE, ROBOT_RADIUS, SIDES
 
-MAX_BLOCKS = 10  # of the benchmark's tasks
-FAR = 9.0  # the coordinates of absent blocks, units
+MAX_BLOCKS = 10  # the most in any of the benchmark's tasks
+FAR = 9.0  # units: the coordinates of absent blocks
 ABSENT = -1  # the colour and shape of absent objects
 
-MIN_BLOCK_PIXELS = 12  # smaller components are slivers beside another object
+MIN_BLOCK_PIXELS = 12  # smaller components are slivers next to another object
 
-# The classifier of shapes is linear in `shape_features`; a row for each of `SHAPES`.
+# The shape classifier is linear in `_shape_features`; a row for each of `SHAPES`.
 SHAPE_WEIGHTS = np.array(
     (
         (1.05, -3.01, 8.42, -1.65, -2.47, 0.08, 3.28, -0.32, 5.45),
@@ -61,7 +61,7 @@ SHAPE_WEIGHTS = np.array(
         (-33.97, 0.84, -0.97, 5.71, 1.57, 1.64, -0.34, 0.25, 15.32),
     )
 )
-# A finger's angle is linear in the mean direction of its pixels, seen from its root.
+# A finger's angle is linear in the mean direction of its pixels from its root.
 FINGER_SLOPE, FINGER_OFFSET = 1.0081, 0.0696  # rad
 FINGER_REACH = 0.42  # units from the robot's centre to beyond the fingertips
 FINGER_WINDOW = 23  # pixels to either side of the robot's centre
@@ -70,14 +70,14 @@ FEATURES = 9
 
 
 class ParsedFrames(NamedTuple):
-    """The objects of B frames, in units of the workspace; blocks and regions in no order."""
+    """The objects in B frames, in workspace units; blocks and regions in no particular order."""
 
     robot: Floats  # (B, 3) x, y, angle
-    fingers: Floats  # (B, 2) how far the left and the right finger are open, rad
+    fingers: Floats  # (B, 2) opening angles of the left and the right finger, rad
     blocks: Floats  # (B, MAX_BLOCKS, 2)
     colours: Ints  # (B, MAX_BLOCKS) positions in COLOURS
     shapes: Ints  # (B, MAX_BLOCKS) positions in SHAPES
-    regions: Floats  # (B, MAX_REGIONS, 4) centre x and y, half the width and the height
+    regions: Floats  # (B, MAX_REGIONS, 4) centre x and y, half width and half height
     region_colours: Ints  # (B, MAX_REGIONS)
 
     def select(self, frames: slice) -> "ParsedFrames":
@@ -96,9 +96,9 @@ def parse_frames(
     """Parse allocentric frames (B, 96, 96, 3).
 
     Args:
-        frames: any layout.
-        robot_alone: find nothing but the robot's pose.
-        features: (B, MAX_BLOCKS, 9), filled with what blocks' shapes are classified by.
+        frames: uint8, in any memory layout.
+        robot_alone: find only the robot's pose.
+        features: (B, MAX_BLOCKS, 9), filled with the features that block shapes are classified by.
     """
     count = len(frames)
     blocks, regions = (count, MAX_BLOCKS), (count, MAX_REGIONS)
@@ -115,7 +115,7 @@ def parse_frames(
     pixels = frames
     if not frames.flags.c_contiguous:
         pixels = np.empty(frames.shape, np.uint8)
-        for channel in range(frames.shape[3]):  # at once takes four times as long
+        for channel in range(frames.shape[3]):  # all at once takes four times as long
             pixels[..., channel] = frames[..., channel]
     compiled_parse(pixels, robot_alone, features, *parsed)
     return parsed
@@ -134,7 +134,7 @@ def compiled_parse(
     regions: Floats,
     region_colours: Ints,
 ) -> None:
-    """Fill the arrays of `ParsedFrames`, or `robot` alone, in which nothing is found yet."""
+    """Fill the initialised arrays of `ParsedFrames`, or only `robot`."""
     pixels = GRID * GRID
     codes, kinds, labels, outside, stack = np.zeros((5, pixels), np.int32)
     parts, centres = np.zeros((pixels, 7), np.int64), np.zeros((pixels, 2))
@@ -155,7 +155,7 @@ def compiled_parse(
 
 @inlined
 def _start(centre: float, half: int) -> int:
-    """The first pixel of a window around a centre, moved into the frame."""
+    """The first pixel of a window around a centre, shifted to lie within the frame."""
     return int(min(max(np.rint(centre) - half, 0.0), FRAME_SIZE - 1.0 - 2 * half))
 
 
@@ -163,11 +163,11 @@ def _start(centre: float, half: int) -> int:
 def _find_robot(
     frame: Pixels, labels: Grid, parts: Ints, number: int, near: Grid, outside: Grid, stack: Grid
 ) -> tuple[float, float, float]:
-    """The pose, from the disc that the largest grey component fills with its holes, the eyes."""
+    """The pose, from the disc of the largest grey component and its holes, the eyes."""
     body, top, left = _find_body(labels, parts, number)
     _flood_around(labels, body, top, left, near, outside, stack)
     size = 2 * BODY_WINDOW + 1
-    in_rows, in_columns = np.zeros((2, size)), np.zeros((2, size))  # of the disc, of the eyes
+    in_rows, in_columns = np.zeros((2, size)), np.zeros((2, size))  # of disc, of eyes
     eyes = np.zeros((size, size))
     for i in range(size):
         for j in range(size):
@@ -188,8 +188,8 @@ def _find_robot(
         yy += in_rows[1, i] * dy * dy
         for j in range(size):
             xy += eyes[i, j] * dy * (pixel_x(left + j) - middle_x)
-    # The line through both eyes gives the angle up to a half turn, and their side of the body the
-    # rest.
+    # The line through both eyes gives the angle up to a half turn; the side of the body that they
+    # are on resolves the rest.
     line = 0.5 * math.atan2(2 * xy, xx - yy)
     rough = math.atan2(x - middle_x, middle_y - y)
     return x, y, rough + (line - rough + math.pi / 2) % math.pi - math.pi / 2
@@ -197,7 +197,7 @@ def _find_robot(
 
 @inlined
 def _find_body(labels: Grid, parts: Ints, number: int) -> tuple[int, int, int]:
-    """The number of the largest grey component, and the first pixel of a window around it."""
+    """The number of the largest grey component, and the first row and column of a window on it."""
     body, area = ABSENT, 0
     for k in range(1, number + 1):
         if parts[k, KIND] == BODY and parts[k, AREA] >= area:
@@ -214,20 +214,21 @@ def _find_body(labels: Grid, parts: Ints, number: int) -> tuple[int, int, int]:
 
 @inlined
 def _contrast(frame: Pixels, row: int, column: int) -> float:
-    """How much of a pixel is an eye, from its difference to grey."""
+    """How much of an eye a pixel shows, up to 1, from its difference from grey."""
     contrast = 0
     for channel in range(3):
         contrast = max(contrast, abs(int(frame[row, column, channel]) - GREY_LEVELS[channel]))
-    return min(contrast / 60.0, 1.0)  # 60: half in an eye
+    return min(contrast / 60.0, 1.0)  # 60: half covered by an eye
 
 
 @inlined
 def _flood_around(
     labels: Grid, body: int, top: int, left: int, near: Grid, outside: Grid, stack: Grid
 ) -> None:
-    """Mark what is connected with the surroundings of a window, in a grid of its own.
+    """Mark, in `outside`, the pixels of a window that are connected to its surroundings.
 
-    Its first pixel is that of row 2 and column 2 of `near`, which holds BODY or OPEN.
+    The window's first pixel is in row 2 and column 2 of `near` and `outside`; `near` gets BODY or
+    OPEN.
     """
     for pixel in range(GRID * GRID):
         near[pixel], outside[pixel] = NOTHING, 0
@@ -242,7 +243,7 @@ def _flood_around(
 
 @inlined
 def _window_centre(rows: Floats, columns: Floats, top: int, left: int) -> tuple[float, float]:
-    """The centre of weights whose sums over rows and columns of a window are given."""
+    """The centroid of weights in a window, given their sums for each row and column."""
     total = x = y = 0.0
     for i in range(len(rows)):
         total += columns[i]
@@ -254,7 +255,7 @@ def _window_centre(rows: Floats, columns: Floats, top: int, left: int) -> tuple[
 
 @merged
 def _find_fingers(frame: Pixels, robot: Floats, fingers: Floats) -> None:
-    """How far the fingers are open, from the mean direction of their pixels."""
+    """Find the opening angles of the fingers from the mean direction of their pixels."""
     x, y, cos, sin = robot[0], robot[1], math.cos(robot[2]), math.sin(robot[2])
     top = _start((VIEW_HALF - y) / PIXEL - 0.5, FINGER_WINDOW)
     left = _start((x + VIEW_HALF) / PIXEL - 0.5, FINGER_WINDOW)
@@ -313,7 +314,7 @@ def _find_blocks(
 
 @inlined
 def _shape_features(labels: Grid, parts: Ints, centres: Floats, k: int, features: Floats) -> None:
-    """Area, moments, and the strength of four- and five-fold symmetry of a component."""
+    """Compute a component's area, moments, and strength of four- and five-fold symmetry."""
     second = fourth = cos_4 = sin_4 = cos_5 = sin_5 = 0.0
     for row in range(parts[k, TOP], parts[k, BOTTOM] + 1):
         for column in range(parts[k, LEFT], parts[k, RIGHT] + 1):

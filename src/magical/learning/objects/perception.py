@@ -1,4 +1,4 @@
-"""Perception: what finds the objects of frames, the parser or a function of others."""
+"""Perception: finding the objects in frames, with the parser or a plugin's function."""
 
 from functools import partial
 from typing import Protocol
@@ -12,24 +12,24 @@ from magical.plugins import load_plugin
 from magical.scene.constants import FRAME_SIZE
 
 PARSER = "parser"
-PERCEPTIONS = "magical.perceptions"  # the group of entry points
+PERCEPTIONS = "magical.perceptions"  # the entry-point group
 
 
 class Perception(Protocol):
-    """Finds the objects of allocentric frames."""
+    """Finds the objects in allocentric frames."""
 
     def __call__(self, frames: Pixels, robot_alone: bool = False) -> ParsedFrames:
-        """Find the objects of frames (B, 96, 96, 3) uint8, as `ParsedFrames` describes them.
+        """Find the objects in frames (B, 96, 96, 3) uint8, as `ParsedFrames` describes them.
 
-        With `robot_alone` the robot's pose is enough.
+        With `robot_alone`, only the robot's pose is needed.
         """
 
 
 def get_perception(name: str) -> Perception:
-    """The parser, or what an entry point or `module:NAME` stands for.
+    """The parser, or the function that an entry point or `module:NAME` refers to.
 
     Raises:
-        PluginError: it cannot be imported, is no function, or returns something else.
+        PluginError: it cannot be imported, is not callable, or returns something else.
     """
     if name == PARSER:
         return parse_frames
@@ -49,7 +49,7 @@ def get_perception(name: str) -> Perception:
 
 
 def _compacted(perception: Perception, frames: Pixels, robot_alone: bool = False) -> ParsedFrames:
-    """What is perceived, with the blocks that are there in the first slots, as from the parser."""
+    """The perceived objects, with the blocks in the first slots, as the parser returns them."""
     parsed = perception(frames, robot_alone=robot_alone)
     order = np.argsort(parsed.colours == ABSENT, axis=1, kind="stable")
     return parsed._replace(
@@ -60,5 +60,5 @@ def _compacted(perception: Perception, frames: Pixels, robot_alone: bool = False
 
 
 def _layout(parsed: ParsedFrames) -> str:
-    """Type and shape of each array."""
+    """The type and shape of each array."""
     return ", ".join(f"{column.dtype} {column.shape}" for column in parsed)

@@ -1,8 +1,8 @@
-"""How a block, at a place, relates to the other objects of its scene.
+"""How a block at a place relates to the other objects of its scene.
 
 A relation is a number: mostly a distance to the nearest object of some kind, such as the nearest
 other block of the same colour. Absolute colours, shapes, directions and (unless a block has no
-other object to relate to) positions do not occur, so whatever is learned from relations is the same
+other object to relate to) positions do not occur, so whatever is learned from relations also holds
 for permuted colours and shapes, and for scenes that are mirrored or rotated by quarter turns.
 """
 
@@ -18,15 +18,15 @@ from magical.learning.objects.hindsight import ROBOT_TARGET
 from magical.learning.objects.table import ObjectTable
 from magical.scene.vocabulary import COLOURS, SHAPES
 
-UNKNOWN = 9.0  # the value of a relation to something that is not there
-NO_KIND = -5  # the colour and shape of the robot: like those of no block
+UNKNOWN = 9.0  # the value of a relation to something that does not exist
+NO_KIND = -5  # the colour and shape of the robot: equal to no block's
 
 SIDE_BY_SIDE = 0.6  # units between the centres of two blocks
-LINE_GAP, LINE_OVERLAP = 0.4, 0.2  # units: neighbours in a line are not farther, nor nearer
+LINE_GAP, LINE_OVERLAP = 0.4, 0.2  # units: farthest and nearest neighbours in a line
 
 # Knots of the piecewise linear functions of a relation (see `goals`): a few for the choice of a
-# block, more for its destination. Values beyond the last are all alike, because far away only
-# the kind of object should matter; UNKNOWN has a knot of its own.
+# block, more for its destination. Values beyond the last knot are all treated alike, because far
+# away only the kind of object should matter; UNKNOWN has its own knot.
 EDGE = (
     (-0.12, -0.04, 0.0, 0.05, 0.15),
     (-0.3, -0.25, -0.2, -0.15, -0.1, -0.05, 0.0, 0.03, 0.06, 0.1, 0.15, 0.2, 0.25, 0.3),
@@ -58,10 +58,10 @@ PLACE = (
 
 
 class Relation(NamedTuple):
-    """How a number is computed, its knots, and how strongly its functions are held at 0.
+    """How a number is computed, its knots, and how strongly its functions are penalised.
 
-    The penalties are the prior: for the choice of a block, which region and which of its own kind
-    it is with comes first, distances to walls and to other kinds come last.
+    The penalties are the prior: for the choice of a block, its region and the blocks of its own
+    kind come first; distances to walls and to other kinds come last.
     """
 
     name: str
@@ -72,9 +72,9 @@ class Relation(NamedTuple):
 
 
 class _Scene:
-    """A target at K places in each scene; masks of the objects (B, N) or (B, M), distances.
+    """A target at K places in each scene, with masks of objects (B, N) or (B, M) and distances.
 
-    Places come last, so that the minimum over objects is taken over whole rows of them.
+    Places are the last axis, so that the minimum over objects is taken over whole rows of places.
     """
 
     def __init__(self, table: ObjectTable, targets: Tensor, places: Tensor) -> None:
@@ -98,7 +98,7 @@ class _Scene:
         return _edge_distances(self.places, self.table.regions)
 
     def region(self, mask: Tensor) -> Tensor:
-        """Distances of the places to the nearest region of a mask (B, M), (B, K)."""
+        """Distances (B, K) of the places to the nearest region in a mask (B, M)."""
         return _nearest(self.to_regions, mask & self.regions)
 
     @cached_property
@@ -108,21 +108,21 @@ class _Scene:
 
     @cached_property
     def in_region(self) -> Tensor:
-        """Which blocks lie in a region."""
+        """Which blocks (B, N) lie in a region."""
         inside = _edge_distances(self.table.blocks, self.table.regions) <= 0.0  # (B, M, N)
         return (inside & self.regions[:, :, None]).any(dim=1)
 
     @cached_property
     def around(self) -> Tensor:
-        """Which regions the target is in now."""
+        """Which regions (B, M) the target is in now, give or take 0.02 units."""
         own = _edge_distances(self.now[:, None], self.table.regions)[..., 0]
         return own <= 0.02
 
     @cached_property
     def line_residuals(self) -> tuple[Tensor, Tensor, Tensor]:
-        """How far places are from continuing each pair's line, (B, P, K); which pairs; lengths.
+        """How far places are from continuing each pair's line, (B, P, K); valid pairs; lengths.
 
-        The place is to be at a neighbour's distance from one of the two blocks.
+        A place should also be at a neighbour's distance from one of the two blocks.
         """
         blocks = self.table.blocks
         count = blocks.shape[1]
@@ -144,16 +144,16 @@ class _Scene:
 def relate(
     table: ObjectTable, targets: Tensor, places: Tensor, which: Sequence[int] | None = None
 ) -> Tensor:
-    """The relations of a target in each scene, if it were at each of K places.
+    """The relations that the target of each scene would have at each of K places.
 
     Args:
         table: B scenes.
         targets: (B,) int64, a block's number or ROBOT_TARGET.
         places: (B, K, 2).
-        which: the positions in `RELATIONS` of those wanted; None: all.
+        which: the positions in `RELATIONS` of those to compute; None: all.
 
     Returns:
-        (B, K, R) float32, R the number of relations wanted.
+        (B, K, R) float32, R the number of relations computed.
     """
     scene = _Scene(table, targets, places)
     chosen = RELATIONS if which is None else [RELATIONS[k] for k in which]
@@ -175,14 +175,14 @@ def _distances(objects: Tensor, places: Tensor) -> Tensor:
 
 
 def _nearest(distances: Tensor, mask: Tensor) -> Tensor:
-    """The least of the distances (B, N, K) to objects of a mask (B, N): (B, K)."""
+    """The smallest of the distances (B, N, K) to objects in a mask (B, N): (B, K)."""
     return distances.masked_fill(~mask[..., None], UNKNOWN).amin(dim=1)
 
 
 def _nearest_block(
     scene: _Scene, colour: bool | None, shape: bool | None, in_region: bool | None
 ) -> Tensor:
-    """The distance to the nearest other block; None: whether or not it is so."""
+    """The distance to the nearest other block; None: with or without that property."""
     mask = scene.others
     for wanted, is_so in ((colour, scene.same_colour), (shape, scene.same_shape)):
         if wanted is not None:
@@ -200,13 +200,13 @@ def _centre_distances(scene: _Scene, masks: Tensor) -> Tensor:
 
 
 def _line(scene: _Scene, longest: float) -> Tensor:
-    """How far from continuing a line of two other blocks that are not farther apart."""
+    """How far places are from continuing a line of two other blocks less than `longest` apart."""
     residual, pairs, length = scene.line_residuals
     return _nearest(residual, pairs & (length < longest))
 
 
 def _share(scene: _Scene, kinds: Tensor, own: Tensor, count: int) -> Tensor:
-    """The distance to the own group's centre, as a share of it and the nearest other group's."""
+    """The distance to the own group's centre, as a share of it plus that to the nearest other."""
     groups = torch.arange(count, device=own.device)
     distances = _centre_distances(
         scene, scene.others[:, None] & (kinds[:, None] == groups[:, None])
@@ -218,7 +218,7 @@ def _share(scene: _Scene, kinds: Tensor, own: Tensor, count: int) -> Tensor:
 
 
 def _coordinate(scene: _Scene, axis: int) -> Tensor:
-    """A place's coordinate, where there is nothing but the target."""
+    """A place's coordinate, if there are no regions and no other blocks."""
     alone = ~scene.regions.any(dim=1) & ~scene.others.any(dim=1)
     return scene.places[..., axis].masked_fill(~alone[:, None], UNKNOWN)
 

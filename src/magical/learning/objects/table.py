@@ -13,18 +13,18 @@ GRIP = 0.28  # units ahead of the robot's centre: where a gripped block's centre
 
 
 class ObjectTable(NamedTuple):
-    """The objects of B scenes, N blocks and M regions at most; float32 unless stated."""
+    """The objects of B scenes, at most N blocks and M regions; float32 unless stated."""
 
     robot: Tensor  # (B, 3) x, y, angle
-    fingers: Tensor  # (B, 2) how far the left and the right finger are open, rad
+    fingers: Tensor  # (B, 2) opening angles of the left and the right finger, rad
     blocks: Tensor  # (B, N, 2); far away where absent
     colours: Tensor  # (B, N) int64, ABSENT (-1) where absent
     shapes: Tensor  # (B, N) int64
-    regions: Tensor  # (B, M, 4) centre x and y, half the width and the height
+    regions: Tensor  # (B, M, 4) centre x and y, half width and half height
     region_colours: Tensor  # (B, M) int64
 
     def select(self, rows: Tensor | slice) -> "ObjectTable":
-        """The scenes of an index."""
+        """The scenes that an index selects."""
         return ObjectTable(*(column[rows] for column in self))
 
     def without(self, gone: Tensor) -> "ObjectTable":
@@ -42,7 +42,7 @@ class ObjectTable(NamedTuple):
 
     @property
     def present(self) -> Tensor:
-        """Which blocks there are, (B, N) bool."""
+        """Which blocks exist, (B, N) bool."""
         return self.colours >= 0
 
     @property
@@ -53,9 +53,9 @@ class ObjectTable(NamedTuple):
 
 
 def to_table(parsed: ParsedFrames, device: str | torch.device = "cpu") -> ObjectTable:
-    """The objects of B frames as tensors on a device, with as many blocks as any frame has.
+    """The objects of B frames as tensors on a device.
 
-    They are two at least.
+    There are as many block slots as the frames use, but at least two.
     """
     used = np.flatnonzero((parsed.colours != ABSENT).any(axis=0))
     count = 1 + max([1, *used.tolist()])

@@ -1,1 +1,1 @@
-"""Control by planning with a motion that was learned from demonstrations."""
+"""Control by planning with a motion model learned from demonstrations."""

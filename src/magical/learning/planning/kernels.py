@@ -1,7 +1,7 @@
 """Compiled parts of planning: rollouts of plans, overlaps with blocks and walls, and routes.
 
-They are apart from their users, which import from other rooms: the key of compiled code on disk
-has the sources of this folder alone (see `magical.compiled.cache`).
+They are kept separate from their users, which import from other rooms: the cache key of compiled
+code covers only this folder's sources and those of the shared rooms (see `magical.compiled.cache`).
 """
 
 import math
@@ -13,7 +13,7 @@ from magical.compiled.jit import nogil_entry_point
 from magical.learning.planning.motion import Floats
 
 FINGERS = np.array([[-0.2, 0.26], [0.2, 0.26], [-0.22, 0.12], [0.22, 0.12]])  # (right, ahead)
-FINGER_ROOM = 0.13  # units from there to a block's centre
+FINGER_ROOM = 0.13  # units to a block's centre
 
 
 @nogil_entry_point
@@ -28,8 +28,8 @@ def compiled_roll_out(
     limit: float,
     poses: Floats,
 ) -> None:
-    """Fill in the poses (HORIZON, M, 3) of plans from a pose and its speeds; see `_Plans`."""
-    angles = np.empty((*turns.shape, 3))  # sine and cosine half-way in each step, and angle after
+    """Fill in the poses (HORIZON, M, 3) of plans, from a pose and its speeds; see `_Plans`."""
+    angles = np.empty((*turns.shape, 3))  # sine and cosine halfway through steps, angle after them
     for each in range(turns.shape[0]):
         angle, spin = pose[2], speeds[1]
         for step in range(turns.shape[1]):
@@ -55,7 +55,7 @@ def compiled_roll_out(
 def compiled_overlaps(
     poses: Floats, blocks: Floats, body: float, limit: float, overlaps: Floats
 ) -> None:
-    """Fill in how deep (P,) the robot at poses (P, 3) is in blocks (N, 2) and walls, in units."""
+    """Fill in the overlaps (P,), in units, of the robot at poses (P, 3) with blocks and walls."""
     for at in range(len(poses)):
         x, y = poses[at, 0], poses[at, 1]
         sin, cos = math.sin(poses[at, 2]), math.cos(poses[at, 2])
@@ -75,9 +75,9 @@ def compiled_overlaps(
 def compiled_routes(
     where: Floats, lengths: Floats, slopes: Floats, length: Floats, direction: Floats
 ) -> None:
-    """Fill in lengths (P,) and directions (P, 2) of the routes from points of the grid (P, 2).
+    """Fill in lengths (P,) and directions (P, 2) of the routes from points (P, 2), in cells.
 
-    They are interpolated between the grid's lengths (SIDE, SIDE) and their slopes (SIDE, SIDE, 2).
+    They are interpolated from the grid's lengths (SIDE, SIDE) and their slopes (SIDE, SIDE, 2).
     """
     for at in range(len(where)):
         low_x, low_y = int(where[at, 0]), int(where[at, 1])

@@ -1,9 +1,9 @@
 """How the robot moves, learned from demonstrations: free, and with a block between its fingers.
 
-In a control step the robot keeps a share of its speed and gains what the action gives it; so does
-its turning. Both are fitted to parsed frames, turning with left and right interchangeable, from
-what is known of other tasks (`PRIOR`), so that ten demonstrations are enough. Nothing about
-contacts is learned: the fit is robust, so that they do not spoil it.
+In a control step, the robot keeps a share of its speed and gains a certain amount from the action;
+the same holds for its turning. Both are fitted to parsed frames, turning symmetrically to left and
+right, with a prior from other tasks (`PRIOR`), so that ten demonstrations are enough. Nothing is
+learned about contacts: the fit is robust, so they do not spoil it.
 """
 
 from collections.abc import Callable, Sequence
@@ -20,23 +20,23 @@ from magical.learning.objects.table import GRIP
 from magical.scene.actions import to_continuous
 
 MOST = 0.9  # share of the demonstrated grasps within the limits
-SPEEDS, SPINS = np.array([-0.1, 0.0, 0.1]), np.array([-0.3, 0.0, 0.3])  # units, rad in a step
-RESIDUAL = 0.05  # of the largest: what is farther off is taken for a contact
-HELD_UP = 0.01  # units in a step: a robot that stays slower though it drives is held up
+SPEEDS, SPINS = np.array([-0.1, 0.0, 0.1]), np.array([-0.3, 0.0, 0.3])  # units, rad per step
+RESIDUAL = 0.05  # share of the largest speed: larger residuals are likely contacts
+HELD_UP = 0.01  # units per step: a robot that drives but stays slower is held up
 
 Floats = NDArray[np.float64]
 
 
 class Motion(NamedTuple):
-    """What actions do to speeds in a control step; row 0 free, row 1 with a block."""
+    """The effect of actions on speeds in a control step; row 0: free, row 1: with a block."""
 
-    drive: Floats  # (2, 3) share of the speed that is kept; units gained backwards, ahead
+    drive: Floats  # (2, 3) share of the speed that is kept; units gained backward, forward
     turn: Floats  # (2, 2) share of the turning that is kept; rad gained to the left
-    grasp: Floats  # (3,) where blocks lie as fingers close: units aside; nearest, farthest ahead
+    grasp: Floats  # (3,) where blocks lie when fingers close, units: aside; nearest, farthest ahead
 
     @property
     def speeds(self) -> Floats:
-        """Top speeds (2, 3): units a step backwards and ahead, rad a step."""
+        """Top speeds (2, 3): units per step backward and forward, rad per step."""
         gained = np.column_stack([-self.drive[:, 1], self.drive[:, 2], self.turn[:, 1]])
         kept = np.column_stack([self.drive[:, 0], self.drive[:, 0], self.turn[:, 0]])
         top: Floats = gained / (1.0 - kept)
@@ -47,20 +47,20 @@ PRIOR = Motion(
     np.array([[0.60, -0.037, 0.041], [0.72, -0.021, 0.022]]),
     np.array([[0.34, 0.21], [0.42, 0.155]]),
     np.zeros(3),
-)  # of ten scripted demonstrations of each of twelve training tasks of the generated suite
+)  # from ten scripted demonstrations of each of twelve training tasks of the generated suite
 
 
 class _Steps(NamedTuple):
-    """S steps of demonstrations, from the second on."""
+    """S steps of demonstrations, starting with each one's second."""
 
-    before: Floats  # (S, 2) units ahead, rad to the left in the step before
-    after: Floats  # (S, 2) in this step
+    before: Floats  # (S, 2) units ahead, rad to the left in the previous step
+    after: Floats  # (S, 2) the same in this step
     commands: Floats  # (S, 3) drive, turn and grip of this step's action
     carried: NDArray[np.bool_]  # (S,) whether a block was carried
 
 
 def fit_motion(demonstrations: Sequence[ParsedDemonstration]) -> Motion:
-    """The motion that demonstrations show, and as far as they do not, `PRIOR`."""
+    """Fit the motion that demonstrations show, relying on `PRIOR` for what they do not show."""
     parts = map(_steps, demonstrations)
     steps = _Steps(*map(np.concatenate, zip(*parts, strict=True)))
     models = [_fit(steps, row) for row in (0, 1)]
@@ -73,7 +73,7 @@ def fit_motion(demonstrations: Sequence[ParsedDemonstration]) -> Motion:
 
 
 def _fit(steps: _Steps, row: int) -> tuple[Floats, Floats]:
-    """Coefficients of drive (3,) and turn (2,), free or with a block."""
+    """Fit the coefficients of drive (3,) and turn (2,), free or with a block."""
     rows = steps.carried == bool(row)
     (speed, spin), (drive, turn) = steps.before[rows].T, steps.commands[rows, :2].T
     ahead, to_left = steps.after[rows].T
@@ -100,7 +100,7 @@ def _robust(
     speeds: Floats,
     make: Callable[[Floats, Floats], Floats],
 ) -> Floats:
-    """Coefficients; the prior counts as one step from each of the speeds with each command."""
+    """Fit coefficients; the prior counts as one step at each of the speeds with each command."""
     assumed = make(*np.array(list(product(speeds, (-1.0, 0.0, 1.0)))).T)
     inputs = np.vstack([inputs, assumed])
     outputs = np.append(outputs, assumed @ prior)
@@ -121,7 +121,7 @@ def _steps(shown: ParsedDemonstration) -> _Steps:
 
 
 def _grasps(shown: ParsedDemonstration) -> Floats:
-    """Where carried blocks lay, to the right and ahead (G, 2), as fingers began to close."""
+    """Where carried blocks lay, to the right and ahead (G, 2), when the fingers began to close."""
     _, trajectory, parsed = shown
     closed = (to_continuous(trajectory.actions)[:, 2] > 0) & trajectory.is_intended
     found = []
@@ -135,7 +135,7 @@ def _grasps(shown: ParsedDemonstration) -> Floats:
 
 
 def robot_steps(before: Floats, after: Floats) -> Floats:
-    """Units ahead and rad to the left (..., 2) between poses (..., 3)."""
+    """The motion (..., 2) between poses (..., 3): units ahead, rad to the left."""
     ahead = to_robot(before, after[..., :2])[..., 1]
     return np.stack([ahead, wrap_angle(after[..., 2] - before[..., 2])], axis=-1)
 

@@ -1,9 +1,9 @@
-"""Control by planning: to a block, around others, and with it to its place.
+"""Control by planning: drive to a block, around the others, and take it to its place.
 
-A plan is two actions, each repeated for a few control steps. All plans are rolled out under the
-motion that demonstrations taught, and cost the steps that they take, those that remain after them,
-and more where the robot or its block would run into something. The first action of a plan is
-sampled: the cheaper, the more probable; of a robot that is stuck, more randomly.
+A plan is one or two actions, each repeated for a few control steps. All plans are rolled out with
+the motion model learned from demonstrations. A plan costs the steps that it takes, the steps that
+remain after it, and more if the robot or its block would run into something. The first action is
+sampled: the cheaper its best plan, the more probable it is. A stuck robot acts more randomly.
 """
 
 from itertools import product
@@ -29,42 +29,42 @@ from magical.scene import NOOP
 from magical.scene.actions import ACTIONS, Action, Gripper, to_continuous
 
 FIRST, SECOND = (1, 2, 3, 5), (1, 2, 4, 7)  # control steps of a plan's actions
-HORIZON = 13  # control steps that are rolled out: in the last one, what glides comes to rest
-CHECKED = 6  # plans with each first action that are checked for obstacles; for time
-STRIDE = 2  # control steps between their poses that are checked
-CLOSING = 2  # control steps of closing before a block is carried
+HORIZON = 13  # control steps that are rolled out; the last one lets a gliding robot come to rest
+CHECKED = 6  # plans per first action that are checked for obstacles, to save time
+STRIDE = 2  # control steps between the poses that are checked
+CLOSING = 2  # control steps of closing the fingers before a block is carried
 TOLERANCE = 0.03  # units by which a block may lie outside the demonstrated grasps; twice if held
-STANDING = 2.0  # control steps added to standing still, which could last
+STANDING = 2.0  # control steps added to the cost of standing still, which might go on
 SPREAD, STUCK_SPREAD = 0.1, 6.0  # control steps: differences in cost that hardly matter
-STILL, STILL_ANGLE = 0.01, 0.05  # units, rad in a step: a robot that moves less stands still
+STILL, STILL_ANGLE = 0.01, 0.05  # units, rad per step: a robot that moves less stands still
 STUCK = 3  # control steps of standing still
-NEAR, LINGERING = 0.08, 15  # units, control steps: a robot that stays so near for so long is stuck
+NEAR, LINGERING = 0.08, 15  # units, control steps: a robot that stays this near this long is stuck
 
-MOVES = [each for each in ACTIONS if each.gripper is Gripper.OPEN]  # by their numbers
+MOVES = [each for each in ACTIONS if each.gripper is Gripper.OPEN]  # in the order of their numbers
 
 
 class Situation(NamedTuple):
-    """What the robot sees, and what it is to do."""
+    """What the robot sees, and what it has to do."""
 
     pose: Floats  # (3,)
-    before: Floats  # (3,) a step ago
+    before: Floats  # (3,) the pose a step ago
     blocks: Floats  # (N, 2)
     target: int  # a block's number, or ROBOT_TARGET
-    place: Floats  # (2,) where the target is to go
+    place: Floats  # (2,) where the target has to go
 
     @property
     def others(self) -> Floats:
-        """The blocks but for the target."""
+        """The blocks other than the target."""
         return self.blocks[[row for row in range(len(self.blocks)) if row != self.target]]
 
 
 class _Plans(NamedTuple):
-    """All M plans, as many for each of MOVES, in its order."""
+    """All M plans: equally many for each of MOVES, in that order."""
 
     steps: NDArray[np.intp]  # (M,) control steps
     drives: NDArray[np.int64]  # (HORIZON, M) -1, 0 or 1; 0 after the plan's end
-    turns: NDArray[np.int64]  # (N, HORIZON) the different sequences of turns, likewise
-    turning: NDArray[np.intp]  # (M,) which of them each plan has
+    turns: NDArray[np.int64]  # (N, HORIZON) the distinct sequences of turns, likewise
+    turning: NDArray[np.intp]  # (M,) the row of `turns` of each plan
 
 
 def _all_plans() -> _Plans:
@@ -85,17 +85,17 @@ PLANS = _all_plans()
 
 
 class Planner:
-    """Chooses the actions of one episode, from its beginning."""
+    """Chooses the actions of one episode, from its start."""
 
     def __init__(self, motion: Motion) -> None:
         self.motion = motion
         self._search = Search()
-        self._still_steps = 0  # for which the robot has been standing still
-        self._here, self._near_steps = np.full(2, np.inf), 0  # a point it has been near for long
-        self._held_steps = 0  # for which the target has been between the fingers
+        self._still_steps = 0  # how long the robot has been standing still
+        self._here, self._near_steps = np.full(2, np.inf), 0  # a point, steps spent near it
+        self._held_steps = 0  # how long the target has been between the fingers
 
     def act(self, seen: Situation, uniform: float | None) -> int:
-        """The number of the next action: by a random number in [0, 1), or the most probable."""
+        """The next action's number, sampled with `uniform` in [0, 1); None: the most probable."""
         speeds = robot_steps(seen.before, seen.pose)
         still = bool((np.abs(speeds) < (STILL, STILL_ANGLE)).all())
         self._still_steps = self._still_steps + 1 if still else 0
@@ -126,7 +126,7 @@ class Planner:
         return bool(abs(right) < aside + more and 0.0 < ahead < farthest + more)
 
     def _costs(self, seen: Situation, speeds: Floats, held: bool) -> Floats:
-        """Control steps (9,) by the best plan that begins with each of MOVES."""
+        """Control steps (9,) that the best plan starting with each of MOVES costs."""
         poses = self._roll_out(seen.pose, speeds, int(held))
         costs = PLANS.steps + self._remaining(seen, poses[-1], held)
         by_move = costs.reshape(len(MOVES), -1)
@@ -138,7 +138,7 @@ class Planner:
         return cheapest
 
     def _roll_out(self, pose: Floats, speeds: Floats, held: int) -> Floats:
-        """The poses (HORIZON, M, 3) of all plans; the robot stops where it would leave."""
+        """The poses (HORIZON, M, 3) of all plans; the robot stops at the workspace's edge."""
         poses = np.empty((HORIZON, len(PLANS.steps), 3))
         limit = max(ROBOT_LIMIT, float(np.abs(pose[:2]).max()))
         motion = self.motion.drive[held], self.motion.turn[held]

@@ -1,7 +1,7 @@
 """How many control steps remain from a pose: to a place, with a block to its place, to a grasp.
 
-Motions are taken to be turns on the spot and straight drives at top speed, forwards or backwards.
-`speeds` (3,) are those of `Motion`: units a step backwards and ahead, rad a step.
+Motions are assumed to be turns on the spot and straight drives at top speed, forward or backward.
+`speeds` (3,) is a row of `Motion.speeds`: units per step backward and forward, rad per step.
 """
 
 import numpy as np
@@ -14,15 +14,15 @@ from magical.scene.constants import BLOCK_SIZE
 
 BLOCK_LIMIT = 0.88  # units: largest coordinate of a carried block's centre
 APART = 2 * BLOCK_SIZE  # units between the centres of blocks
-ROOM, BLOCK_ROOM, TARGET_ROOM = 0.02, 0.1, 0.1  # units more on routes past blocks, with a block,
-# and past the block that is to be grasped, which must not be moved before
-DIRECTIONS = 16  # from which a block can be grasped
+ROOM, BLOCK_ROOM, TARGET_ROOM = 0.02, 0.1, 0.1  # extra units: on routes past blocks; with a block;
+# and past the block to be grasped, which must not be moved before
+DIRECTIONS = 16  # number of directions from which a block can be grasped
 RUN_UP = 0.14  # units driven straight ahead before a grasp
-FIT = 0.7  # share of the demonstrated distance aside that grasps aim at
-HIT = 60.0  # control steps for each unit of overlap
-DETOUR = 1.1, 0.05  # a route is straight that is at most so many times, and units, longer
-CLOSE = 0.05  # units: nearer to its place the robot need not face it
-ARRIVAL = 0.1  # units from the run-up's start: nearer, the robot turns into its direction
+FIT = 0.7  # share of the demonstrated sideways distance that grasps aim for
+HIT = 60.0  # control steps per unit of overlap
+DETOUR = 1.1, 0.05  # factor, units: a route at most this much longer counts as straight
+CLOSE = 0.05  # units: closer to its place, the robot need not face it
+ARRIVAL = 0.1  # units from the run-up's start: closer, the robot turns towards its direction
 
 _ANGLES = np.arange(DIRECTIONS) * 2 * np.pi / DIRECTIONS
 _AHEAD = np.stack([-np.sin(_ANGLES), np.cos(_ANGLES)], axis=1)  # (DIRECTIONS, 2)
@@ -43,14 +43,14 @@ def steps_to_place(
     search: Search,
     reach: float = 0.0,
 ) -> Floats:
-    """From poses (M, 3) until the robot, or a block `reach` ahead of it, is at a place (2,).
+    """Control steps (M,) until the robot, or a block `reach` ahead of it, is at a place.
 
     Args:
         place: (2,).
-        ends: (M, 3).
+        ends: (M, 3), the poses to start from.
         others: (N, 2), blocks in the way.
-        speeds: see above.
-        search: for routes to the place.
+        speeds: see the module.
+        search: finds routes to the place.
         reach: units; 0 for the robot itself.
     """
     limit, room = (
@@ -71,7 +71,7 @@ def steps_to_place(
     ahead = np.where(gap > 0, gap / speeds[1], -gap / speeds[0]) + turn / speeds[2]
     gap = np.where(straight, distance + reach, length)
     back = gap / speeds[0] + (np.pi - turn) / speeds[2]
-    outside = [  # where the robot would have to stand in the end
+    outside = [  # where the robot would have to end up
         HIT * excess(place + side * reach * direction, ROBOT_LIMIT).sum(axis=1) for side in (-1, 1)
     ]
     steps: Floats = np.minimum(ahead + outside[0], back + outside[1])
@@ -81,10 +81,10 @@ def steps_to_place(
 def steps_to_grasp(
     block: Floats, ends: Floats, others: Floats, motion: Motion, search: Search
 ) -> Floats:
-    """From poses (M, 3) until a block (2,) lies between the fingers.
+    """Control steps (M,) from poses (M, 3) until a block (2,) lies between the fingers.
 
-    Near the block the robot turns and drives straight on; from farther away it drives to the start
-    of a run-up first, where neither walls nor others (N, 2) are in the way of the grasp.
+    Near the block, the robot can turn and drive straight on; from farther away, it first drives to
+    the start of a run-up for which neither walls nor others (N, 2) are in the way of the grasp.
     """
     aside, reach, _ = motion.grasp
     speeds = motion.speeds[0]
@@ -106,7 +106,7 @@ def steps_to_grasp(
 def _steps_to_run_up(
     block: Floats, ends: Floats, others: Floats, crowd: Floats, motion: Motion, search: Search
 ) -> Floats:
-    """From poses (M, 3) to the start of the best run-up, facing the block there."""
+    """Control steps (M,) from poses (M, 3) to the start of the best run-up, facing the block."""
     back, forward, spin = motion.speeds[0]
     starts = block - (motion.grasp[1] + RUN_UP) * _AHEAD
     crowd = crowd + HIT * excess(starts, ROBOT_LIMIT).sum(axis=1)
@@ -127,6 +127,6 @@ def _steps_to_run_up(
 
 
 def _angle(directions: Floats) -> Floats:
-    """The angles (...) of a robot that faces in directions (..., 2)."""
+    """The angles (...) of a robot that faces directions (..., 2)."""
     angles: Floats = np.arctan2(-directions[..., 0], directions[..., 1])
     return angles

@@ -1,4 +1,4 @@
-"""Shortest routes to goals around blocks that must not be moved, from everywhere at once."""
+"""Shortest routes to goals, around blocks that must not be moved, from everywhere at once."""
 
 from itertools import product
 from math import gcd
@@ -12,8 +12,8 @@ from magical.learning.planning.kernels import compiled_routes
 from magical.scene.constants import WORKSPACE_HALF
 
 SIDE = 29  # grid points across the workspace
-MOVED = 0.005  # units: routes are the same until something moves so far
-OBSTRUCTED = 15.0  # units more for each unit of a route through an obstacle's centre
+MOVED = 0.005  # units: routes are kept until something moves farther
+OBSTRUCTED = 15.0  # extra units per unit of a route through an obstacle's centre
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
@@ -39,7 +39,7 @@ _ROWS = np.searchsorted(_STARTS, np.arange(_CELLS + 1))  # where the edges of ea
 
 
 class Routes:
-    """The shortest routes to some goals, whichever is nearest.
+    """The shortest routes to the nearest of some goals.
 
     A route through an obstacle is not forbidden but long, so there is one from everywhere.
     """
@@ -51,7 +51,7 @@ class Routes:
 
         Args:
             goals: (G, 2).
-            costs: (G,) units, of being at each goal.
+            costs: (G,) units added to routes to each goal.
             obstacles: (N, 2).
             clearance: (N,) units to keep from each.
             limit: the largest coordinate of a route, in units.
@@ -88,7 +88,7 @@ class Routes:
 
 
 class Search:
-    """Finds routes, anew only if something has moved since the last time."""
+    """Finds routes, and searches again only if something has moved."""
 
     def __init__(self) -> None:
         self._arguments = np.empty(0)
@@ -96,7 +96,7 @@ class Search:
     def __call__(
         self, goals: Floats, costs: Floats, obstacles: Floats, clearance: Floats, limit: float
     ) -> Routes:
-        """The routes; see there."""
+        """The routes for these arguments; see `Routes`."""
         arguments = np.concatenate([goals.ravel(), costs, obstacles.ravel(), clearance, [limit]])
         known = self._arguments
         if len(arguments) != len(known) or np.abs(arguments - known).max() > MOVED:
@@ -113,11 +113,11 @@ def _nearest(points: Floats) -> Ints:
 
 
 def _origins(before: Ints, cells: Ints, costs: Floats) -> Ints:
-    """The goals from which the search reached each grid point, by what it reached just before."""
+    """The goal from which the search reached each grid point, given the points' predecessors."""
     origin = np.where(before == _CELLS, np.arange(_CELLS), before)
     while (origin != origin[origin]).any():
         origin = origin[origin]
     numbers = np.zeros(_CELLS, np.intp)
-    order = np.argsort(-costs)  # of goals at the same point, the cheapest counts
+    order = np.argsort(-costs)  # if several goals are at a point, the cheapest counts
     numbers[cells[order]] = order
     return numbers[origin]

@@ -1,1 +1,1 @@
-"""What PPO and the algorithms built on it share: rollouts, replay buffer, rewards, monitoring."""
+"""Parts of PPO and the algorithms built on it: rollouts, replay buffer, rewards, monitoring."""

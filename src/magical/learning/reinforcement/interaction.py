@@ -1,4 +1,4 @@
-"""What the configurations of all learners that act in environments have in common."""
+"""Configuration shared by all learners that act in environments."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,7 @@ from magical.tasks import Horizon
 
 @dataclass(frozen=True, kw_only=True)
 class InteractionSettings(Settings):
-    """How many environments are acted in, and for how long."""
+    """How many environments a learner acts in, and for how long."""
 
     total_steps: int = option(1_000_000, "environment steps in all", POSITIVE)
     num_envs: int = option(32, "N: parallel environments, split evenly between the tasks", POSITIVE)
@@ -33,7 +33,7 @@ class InteractionSettings(Settings):
 
     @property
     def env_horizon(self) -> Horizon:
-        """The horizon as environments take it."""
+        """The horizon, as passed to the environments."""
         return None
 
 
@@ -58,7 +58,7 @@ class InteractionConfig(Config):
 
     @property
     def interaction(self) -> InteractionSettings:
-        """The record."""
+        """The `InteractionSettings` of the configuration."""
         found = self.part(InteractionSettings)
         assert found is not None
         return found
@@ -70,10 +70,10 @@ class InteractionConfig(Config):
 
     @property
     def num_updates(self) -> int:
-        """All updates of the policy."""
+        """Updates of the policy in a whole run."""
         return self.interaction.num_updates
 
     @property
     def environment_steps(self) -> int:
-        """Those of all updates."""
+        """Environment steps of all updates."""
         return self.interaction.num_updates * self.interaction.steps_per_update

@@ -1,4 +1,4 @@
-"""What is logged beside the losses: recent scores, warnings of a collapse, durations."""
+"""Metrics logged in addition to the losses: recent scores, warnings of a collapse, durations."""
 
 import math
 import time
@@ -22,11 +22,11 @@ Metrics = dict[str, float | str]
 
 
 class Monitor:
-    """Collects scores and durations of an update, and warns of a collapse."""
+    """Collects the scores and durations of updates, and warns of a collapse."""
 
     def __init__(self) -> None:
         self._recent: deque[tuple[int, float]] = deque(maxlen=RECENT_EPISODES)
-        self._counts: dict[str, int] = {}  # updates that each symptom has lasted
+        self._counts: dict[str, int] = {}  # consecutive updates with each symptom
         self._seconds: dict[str, float] = {}
         self._one_action = False
 
@@ -50,7 +50,7 @@ class Monitor:
         return found
 
     def warning(self, metrics: Mapping[str, float | str]) -> Metrics:
-        """`{"warning": ...}` if the metrics of one more update show a collapse, or nothing."""
+        """Return `{"warning": ...}` if one more update's metrics show a collapse, else `{}`."""
         accuracy = metrics.get("discriminator_accuracy")
         symptoms = {"one action": self._one_action}
         if isinstance(accuracy, float):
@@ -65,7 +65,7 @@ class Monitor:
         return {"warning": ", ".join(found)} if found else {}
 
     def state_dict(self) -> StateDict:
-        """Recent scores, and for how many consecutive updates each symptom of a collapse lasts."""
+        """Recent scores, and for how many updates each symptom of a collapse has lasted."""
         return {"recent": list(self._recent), "collapse": self._counts}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:

@@ -1,11 +1,11 @@
-"""What the presets of PPO, and of the algorithms with learned rewards, change of Table 4."""
+"""Changes to Table 4 by the presets of PPO and of the algorithms with learned rewards."""
 
 from collections.abc import Mapping
 from typing import Any
 
 from magical.learning.config import PUBLISHED
 
-# `quick`, of all of them.
+# `quick`, for all of them.
 QUICK: Mapping[str, Any] = {
     "network": "light",
     "init": "centred",
@@ -24,7 +24,7 @@ QUICK: Mapping[str, Any] = {
     "evaluate_every": 50,
 }
 
-# What `published-code` changes in those with learned rewards (docs/specification.md, section 11).
+# `published-code`, for those with learned rewards (docs/specification.md, section 11).
 PUBLISHED_CODE: Mapping[str, Any] = {
     "conventions": PUBLISHED,
     "ent_coef": 2.5e-5,
@@ -32,7 +32,7 @@ PUBLISHED_CODE: Mapping[str, Any] = {
     "horizon": PUBLISHED,
 }
 
-# `states`, of PPO: state vectors and the dense reward, for which an episode is a short time.
+# `states`, for PPO: state vectors and the dense reward, on whose time scale an episode is short.
 STATES: Mapping[str, Any] = {
     **QUICK,
     "observation": "state",

@@ -1,4 +1,4 @@
-"""The buffer that discriminators sample the novice's half of a batch from."""
+"""The replay buffer from which discriminators sample the novice's half of a batch."""
 
 import zlib
 from collections.abc import Mapping, Sequence
@@ -11,21 +11,21 @@ from torch import Tensor
 
 from magical.learning.running.checkpoints import StateDict
 
-ROLLOUTS = 4  # that the learners with learned rewards keep
+ROLLOUTS = 4  # kept by the learners with learned rewards
 
 
 class ReplayBuffer:
     """Observations (uint8) and actions of the newest rollouts, on their device."""
 
-    _observations: Tensor  # (capacity, T, N, ...), from the first rollout on
+    _observations: Tensor  # (capacity, T, N, ...), allocated with the first rollout
     _actions: Tensor  # (capacity, T, N)
 
     def __init__(self, capacity: int, task_of: NDArray[np.int64]) -> None:
-        """Create an empty buffer for `capacity` rollouts of environments of tasks (N,)."""
+        """Create an empty buffer for `capacity` rollouts of environments with tasks (N,)."""
         self._capacity = capacity
         self._envs_of = [np.flatnonzero(task_of == number) for number in range(task_of.max() + 1)]
         self._task_of = task_of
-        self._count = 0  # rollouts added in all
+        self._count = 0  # rollouts added in total
 
     def add(self, observations: Tensor, actions: Tensor) -> None:
         """Add observations (T, N, ...) and actions (T, N), replacing the oldest rollout."""
@@ -41,8 +41,9 @@ class ReplayBuffer:
     ) -> tuple[Tensor, Tensor, Tensor]:
         """Sample observations, actions and tasks, `counts[k]` of task k, with replacement.
 
-        Returns, with B the sum of the counts:
-            Observations (B, ...), actions (B,) int64, tasks (B,) int64.
+        Returns:
+            Observations (B, ...), actions (B,) int64 and tasks (B,) int64, where B is the sum of
+            the counts.
         """
         pairs = zip(self._envs_of, counts, strict=True)
         env = np.concatenate([rng.choice(envs, count) for envs, count in pairs])
@@ -55,7 +56,7 @@ class ReplayBuffer:
         return self._observations[index], self._actions[index], tasks
 
     def state_dict(self) -> StateDict:
-        """The contents."""
+        """The buffer's contents."""
         return {
             "count": self._count,
             "shape": list(self._observations.shape),
@@ -71,7 +72,7 @@ class ReplayBuffer:
 
 
 def pack(frames: Tensor) -> Tensor:
-    """Frames, which are mostly of uniform colour, compressed."""
+    """Compress frames, which are mostly of uniform colour."""
     packed = zlib.compress(frames.cpu().numpy().tobytes(), 1)
     return torch.frombuffer(bytearray(packed), dtype=torch.uint8)
 

@@ -1,4 +1,4 @@
-"""Learned rewards normalised to mean 0 and a fixed standard deviation (appendix B, Table 4)."""
+"""Normalising learned rewards to mean 0 and a fixed standard deviation (appendix B, Table 4)."""
 
 import torch
 from torch import Tensor, nn
@@ -6,7 +6,7 @@ from torch import Tensor, nn
 from magical.learning.config import NetworkSettings
 
 FLOOR = 1e-3  # smallest standard deviation that rewards are divided by (docs/specification.md, 10)
-PUBLISHED_FLOOR = 1e-5  # the published floor, 1e-3, is of the running deviation / 0.01
+PUBLISHED_FLOOR = 1e-5  # the published floor, 1e-3, applies to the running deviation / 0.01
 
 
 def reward_floor(networks: NetworkSettings) -> float:
@@ -15,12 +15,12 @@ def reward_floor(networks: NetworkSettings) -> float:
 
 
 class RewardNormaliser(nn.Module):
-    """Normalises by running statistics over all rewards of a run, separately for each task."""
+    """Normalises rewards by running statistics over the whole run, separately for each task."""
 
-    # Of each task, (K,); double precision: sums over a million rewards.
+    # One number per task, (K,), in double precision, as they sum over a million rewards.
     count: Tensor
     mean: Tensor
-    squares: Tensor  # summed deviations from the mean
+    squares: Tensor  # sums of squared deviations from the mean
 
     def __init__(self, num_tasks: int, std: float, floor: float = FLOOR) -> None:
         """Start without statistics.
@@ -28,7 +28,7 @@ class RewardNormaliser(nn.Module):
         Args:
             num_tasks: the number of tasks.
             std: the standard deviation of the normalised rewards.
-            floor: running standard deviations below this count as this.
+            floor: the smallest standard deviation that rewards are divided by.
         """
         super().__init__()
         self.target = std

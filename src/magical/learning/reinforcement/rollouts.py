@@ -1,4 +1,4 @@
-"""The environments that rollouts are collected in, and the rollouts."""
+"""Rollouts, and the environments in which they are collected."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ EpisodeScores = tuple[tuple[int, float], ...]  # task and score of each episode 
 
 @dataclass(frozen=True, slots=True)
 class Rollout:
-    """T steps of N environments, under one policy."""
+    """T steps of N environments under one policy."""
 
     observations: Tensor  # (T, N, ...), before each action, in the network's layout
     actions: Tensor  # (T, N) int64
@@ -53,7 +53,7 @@ class RolloutEnvs:
     """
 
     def __init__(self, config: InteractionConfig, device: str, reward: Reward = "none") -> None:
-        """Create N environments of the configuration's tasks, observation and seed."""
+        """Create N environments with the configuration's tasks, observation and seed."""
         settings = config.interaction
         self.task_of = np.sort(np.arange(settings.num_envs) % len(config.tasks))  # (N,)
         self.tasks = torch.from_numpy(self.task_of).to(device)
@@ -80,7 +80,7 @@ class RolloutEnvs:
         self.envs.close()
 
     def reset(self) -> None:
-        """Start the first episodes, each with a number of random actions.
+        """Start the first episodes, each with a random number of random actions.
 
         Otherwise all environments of a task would end their episodes in the same update.
         """
@@ -93,7 +93,7 @@ class RolloutEnvs:
             self._observations, *_ = self.envs.step(actions, active=time < delays)
 
     def observations(self) -> Tensor:
-        """The present observations (N, ...) in the network's layout, still on the CPU."""
+        """The current observations (N, ...) in the network's layout, still on the CPU."""
         return self._network_input(self._observations)
 
     def step(
@@ -103,7 +103,7 @@ class RolloutEnvs:
 
         Returns:
             Rewards (N,), dones (N,), the final observations of the episodes that ended as network
-            inputs (None if none has), and their scores.
+            inputs (None if none ended), and their scores.
         """
         self._observations, rewards, _, dones, infos = self.envs.step(actions.cpu().numpy())
         if not dones.any():
@@ -131,7 +131,7 @@ def collect_rollout(
 ) -> Rollout:
     """Step the environments T times with actions sampled from the logits of `forward`.
 
-    With `bootstrap`, the value of an episode's final observation is estimated, too.
+    With `bootstrap`, the value of an episode's final observation is also estimated.
     """
     shape, device = (num_steps, len(envs.tasks)), envs.device  # (T, N)
     uniforms = torch.from_numpy(rng.random(shape, np.float32)).to(device)
@@ -172,7 +172,7 @@ def collect_rollout(
 
 
 def shuffle_evenly(tasks: NDArray[np.int64], rng: np.random.Generator) -> NDArray[np.int64]:
-    """A random permutation (B,) of samples of tasks (B,), every stretch of it balanced by task."""
+    """A random permutation (B,) of samples of tasks (B,), each stretch of it balanced by task."""
     positions = np.empty(len(tasks))
     for task in np.unique(tasks):
         rows = rng.permutation(np.flatnonzero(tasks == task))

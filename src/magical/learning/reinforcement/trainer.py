@@ -1,4 +1,4 @@
-"""What the trainers of policies that act in environments have in common."""
+"""The base class of trainers whose policies act in environments."""
 
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
@@ -22,14 +22,14 @@ from magical.learning.running.optimizers import load_optimizer, optimizer_state
 from magical.learning.running.run import Run
 
 SEED = 1  # of the evaluations; not the seed of reported results
-ROLLOUTS = 20  # of each task
+ROLLOUTS = 20  # per task
 
 
 class InteractionTrainer:
-    """A policy that is trained in environments, and evaluated over its tasks' Demo variants.
+    """Trains a policy in environments, and evaluates it on its tasks' Demo variants.
 
-    It is a context: on entering, the environments are opened, and started or resumed from the run's
-    checkpoint. Those of evaluations are made for the first one and kept for the next ones.
+    It is a context manager: on entry, the environments are opened, and started or resumed from the
+    run's checkpoint. Evaluation environments are created for the first evaluation, then reused.
     """
 
     envs: RolloutEnvs
@@ -45,9 +45,9 @@ class InteractionTrainer:
         reward: Reward = "none",
         previous_steps: int = 0,
     ) -> None:
-        """Create a trainer of a network by Adam.
+        """Create a trainer that optimises a network with Adam.
 
-        `previous_steps` are those of the run before the first update, such as pretraining.
+        `previous_steps` are the run's steps before the first update, such as pretraining.
         """
         self.config, self.run, self.previous_steps = config, run, previous_steps
         self.device = choose_device(config.device)
@@ -71,11 +71,11 @@ class InteractionTrainer:
         self._stack.close()
 
     def start_or_resume(self) -> None:
-        """Reset the environments, or restore what the run's checkpoint holds of `state_dict`."""
+        """Reset the environments, or restore the state from the run's checkpoint."""
         raise NotImplementedError
 
     def state_dict(self) -> StateDict:
-        """What the next update depends on; here optimiser, environments and monitor."""
+        """The state that the next update depends on; here optimiser, environments and monitor."""
         return {
             "optimizer": optimizer_state(self.optimizer),
             "envs": self.envs.state_dict(),
@@ -83,7 +83,7 @@ class InteractionTrainer:
         }
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Restore what `state_dict` returned here."""
+        """Restore what `state_dict` of this class returned."""
         load_optimizer(self.optimizer, state["optimizer"])
         self.envs.load_state_dict(state["envs"])
         self.monitor.load_state_dict(state["monitor"])
@@ -106,7 +106,7 @@ class InteractionTrainer:
         )
 
     def _evaluate(self) -> float:
-        """The mean score of the present weights; the network is in training mode afterwards."""
+        """The mean score of the current weights; the network is in training mode afterwards."""
         if not self._evaluation:
             settings = self.config.interaction
             policy = NetworkPolicy(self.network, self.config, self.compute)

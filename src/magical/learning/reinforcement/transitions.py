@@ -1,9 +1,9 @@
-"""Transitions of demonstrations and of a policy, with every frame stored once.
+"""Transitions of demonstrations and of a policy, with each frame stored once.
 
-A stack of four frames is 110 kB and its newest frame 28 kB, and a transition has two stacks, of
-which it shares three frames with itself and all with its neighbours. So a buffer holds single
-frames, numbered in the order in which they came, and a transition is a window of frame numbers:
-without its newest it is the observation before the action, without its oldest the one after it.
+A stack of four frames takes 110 kB, a single frame 28 kB. The two stacks of a transition have three
+frames in common and share all their frames with neighbouring transitions. A buffer therefore holds
+single frames, numbered in the order of arrival, and a transition is a window of frame numbers:
+without the newest, it is the observation before the action; without the oldest, the one after it.
 """
 
 from collections.abc import Mapping, Sequence
@@ -34,7 +34,7 @@ class Transitions(NamedTuple):
     tasks: Tensor  # (B,) int64, positions in the configuration's tasks
 
     def join(self, others: "Transitions") -> "Transitions":
-        """These, followed by others."""
+        """These transitions, followed by others."""
         return Transitions(*(torch.cat(pair) for pair in zip(self, others, strict=True)))
 
 
@@ -45,19 +45,19 @@ class TransitionBuffer:
         """Create an empty buffer.
 
         Args:
-            spec: of the observations.
-            frames: the memory of each component's frames, (capacity, channels, ...).
+            spec: the specification of the observations.
+            frames: storage for each component's frames, (capacity, channels, ...).
             num_tasks: number of tasks.
         """
         self._spec = spec
         self._frames = frames
         self._num_tasks = num_tasks
         self._capacity = len(frames[0])
-        self._stored = 0  # frames in all; number n is, or was, in slot n % capacity
-        self._added = 0  # transitions in all, in the same way; never more than frames
+        self._stored = 0  # frames in total; number n is, or was, in slot n % capacity
+        self._added = 0  # transitions in total, in the same way; never more than frames
         self._windows = np.zeros((self._capacity, spec.frames + 1), np.int64)
         self._labels = np.zeros((self._capacity, 3), np.int64)  # action, end, task
-        self._current: Numbers = np.zeros((0, spec.frames), np.int64)  # of the environments
+        self._current: Numbers = np.zeros((0, spec.frames), np.int64)  # the environments' stacks
         self._rows: list[Numbers] = []  # of each task's transitions
 
     @classmethod
@@ -68,10 +68,10 @@ class TransitionBuffer:
         spec: ObservationSpec,
         device: str,
     ) -> "TransitionBuffer":
-        """A full buffer of what demonstrators did.
+        """A full buffer of demonstrations.
 
-        A step in which something else than the label was executed is left out: its next state
-        follows from another action.
+        Steps whose executed action is not the label are left out: their next state results from
+        another action.
         """
         sources = [TrajectorySource(trajectory) for _, trajectory in demonstrations]
         frames = []
@@ -95,9 +95,9 @@ class TransitionBuffer:
         return TransitionBuffer(self._spec, frames, self._num_tasks)
 
     def start(self, observations: Tensor) -> None:
-        """Begin with the present observations (N, ...) of the environments.
+        """Start from the current observations (N, ...) of the environments.
 
-        What came before them is not known here: their newest frame stands for it.
+        Their earlier frames are not stored; the newest frame is repeated instead.
         """
         numbers = self._store(observations)
         self._current = np.repeat(numbers[:, None], self._spec.frames, axis=1)
@@ -110,14 +110,14 @@ class TransitionBuffer:
         final: Tensor | None,
         tasks: Numbers,
     ) -> None:
-        """Add a step of N environments, which replaces the oldest frames.
+        """Add a step of N environments, replacing the oldest frames.
 
         Args:
-            actions: (N,) that were taken.
-            dones: (N,) whether the episode ended.
-            observations: (N, ...) present ones: where an episode ended, the next one's first.
-            final: the final observations of the episodes that ended; `None` if none has.
-            tasks: (N,) of the environments.
+            actions: (N,), the actions taken.
+            dones: (N,), whether the episode ended.
+            observations: (N, ...), the current ones; where an episode ended, the next one's first.
+            final: the final observations of the episodes that ended; `None` if none ended.
+            tasks: (N,), the environments' tasks.
         """
         after = observations
         if final is not None:
@@ -140,7 +140,7 @@ class TransitionBuffer:
 
     @property
     def _by_task(self) -> list[Numbers]:
-        """The rows of each task's transitions of which all frames are still there."""
+        """The rows of each task's transitions whose frames are all still stored."""
         if not self._rows:
             filled = slice(min(self._added, self._capacity))
             kept = self._windows[filled, 0] >= self._stored - self._capacity
@@ -172,7 +172,7 @@ class TransitionBuffer:
         self._rows = []
 
     def _stacks(self, windows: Numbers) -> Tensor:
-        """Observations (B, ...) of the windows (B, frames)."""
+        """Observations (B, ...) for the windows (B, frames)."""
         parts = []
         for frames, component in zip(self._frames, self._spec.components, strict=True):
             slots = windows[:, -component.frames :].reshape(-1) % self._capacity
@@ -181,7 +181,7 @@ class TransitionBuffer:
         return parts[0] if len(parts) == 1 else torch.cat(parts, dim=1)
 
     def state_dict(self) -> StateDict:
-        """The contents."""
+        """The buffer's contents."""
         filled = min(self._stored, self._capacity)
         return {
             "stored": self._stored,

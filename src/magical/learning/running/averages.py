@@ -17,16 +17,16 @@ class Averages:
         self._start = time.perf_counter()
 
     def add(self, weight: int, **values: Tensor) -> None:
-        """Add scalars with a weight, such as the number of samples that they are means of."""
+        """Add scalars with a weight, such as the number of samples that they average."""
         for name, value in values.items():
             weighted = value.detach() * weight
             self._sums[name] = self._sums[name] + weighted if name in self._sums else weighted
             self._weights[name] = self._weights.get(name, 0) + weight
 
     def reset(self, speed_of: str = "") -> dict[str, float]:
-        """Return the means and start again from nothing.
+        """Return the means and start over.
 
-        With `speed_of`, the name of a metric whose weights are samples, samples per second too.
+        `speed_of`, the name of a metric whose weights count samples, adds samples per second.
         """
         means = {name: (total / self._weights[name]).item() for name, total in self._sums.items()}
         if speed_of:

@@ -1,9 +1,9 @@
 """Checkpoints: one safetensors file for a nested state dict, written atomically.
 
-Tensors are stored as such; everything else (optimiser settings, counters, states of
-environments) as JSON in the header of the same file, so that one rename replaces both. The header
-begins with a SHA-256 digest of all other bytes of the file, which is checked before anything is
-parsed. Nothing is unpickled.
+Tensors are stored as such; everything else (optimiser settings, counters, environment states) is
+stored as JSON in the header of the same file, so that one rename replaces both. The header begins
+with a SHA-256 digest of all other bytes of the file, which is checked before anything is parsed.
+Nothing is unpickled.
 
 A run folder holds the newest checkpoint and the one before it.
 """
@@ -31,7 +31,7 @@ _TENSOR = "__tensor__"
 _HEADER = "state"  # the key in the header
 MAX_BYTES = 1 << 34  # of a file
 
-# A file begins with the header's length and its JSON; the digest is the first entry in that.
+# A file begins with the header's length and its JSON; the digest is the JSON's first entry.
 _LENGTH = 8  # bytes of the length, little-endian
 _METADATA = b'{"__metadata__":{'
 _KEY, _AFTER_DIGEST = b'"sha256":"', b'",    '  # 80 bytes with the digest: tensors stay aligned
@@ -40,7 +40,7 @@ _END = _START + 2 * hashlib.sha256().digest_size  # in hexadecimal
 
 
 def save_checkpoint(path: Path, state: StateDict, previous: Path | None = None) -> None:
-    """Write a state dict; an older file at `path` stays as it was until the new one is complete.
+    """Write a state dict; an older file at `path` stays intact until the new one is complete.
 
     Args:
         path: the file.
@@ -63,7 +63,7 @@ def load_checkpoint(path: Path) -> StateDict:
     """Read what `save_checkpoint` wrote.
 
     Raises:
-        CheckpointError: the file is missing, damaged, or no checkpoint.
+        CheckpointError: the file is missing, damaged, or not a checkpoint.
     """
     with reading(path, CheckpointError):
         data = read_regular(path, MAX_BYTES)
@@ -79,10 +79,10 @@ def load_checkpoint(path: Path) -> StateDict:
 
 @contextmanager
 def restoring(path: Path) -> Iterator[None]:
-    """A context in which what was read from a checkpoint, or a folder with one, is made use of.
+    """Context manager for restoring state that was read from a checkpoint or a folder with one.
 
     Raises:
-        CheckpointError: it is not what was expected: the file is of another network or program.
+        CheckpointError: the state does not fit: the file belongs to another network or program.
     """
     try:
         yield
@@ -99,7 +99,7 @@ def restoring(path: Path) -> Iterator[None]:
 
 
 def _split_at_digest(data: bytes) -> tuple[bytes, bytes]:
-    """What comes before and after the digest when it is added to a safetensors file."""
+    """The bytes before and after the digest when it is inserted into a safetensors file."""
     start = _LENGTH + len(_METADATA)
     assert data[_LENGTH:start] == _METADATA
     added = len(_KEY) + (_END - _START) + len(_AFTER_DIGEST)
@@ -123,7 +123,7 @@ def _check_digest(path: Path, data: bytes) -> None:
 
 
 def replace_checkpoint(folder: Path, state: StateDict) -> None:
-    """Save a run's newest checkpoint; the newest before becomes the previous one.
+    """Save a run's newest checkpoint; the former newest becomes the previous one.
 
     Raises:
         OSError: the file cannot be written, or the disk is full.
@@ -135,7 +135,7 @@ def load_newest_checkpoint(folder: Path) -> StateDict:
     """Read a run's newest checkpoint.
 
     Raises:
-        CheckpointError: it is missing or damaged; says whether the previous one is intact.
+        CheckpointError: it is missing or damaged; the message says if the previous is intact.
     """
     try:
         return load_checkpoint(folder / CHECKPOINT)
@@ -144,10 +144,10 @@ def load_newest_checkpoint(folder: Path) -> StateDict:
 
 
 def restore_previous_checkpoint(folder: Path) -> None:
-    """Replace a run's newest checkpoint, damaged or not, by the previous one.
+    """Replace a run's newest checkpoint, damaged or not, with the previous one.
 
     Raises:
-        CheckpointError: that is missing or damaged; nothing is changed.
+        CheckpointError: the previous one is missing or damaged; nothing is changed.
     """
     load_checkpoint(folder / PREVIOUS)
     (folder / PREVIOUS).replace(folder / CHECKPOINT)

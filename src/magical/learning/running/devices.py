@@ -26,7 +26,7 @@ OLDER_INSTRUCTIONS = ("DEFAULT", "NO AVX", "AVX2")  # PyTorch's names
 class Compute:
     """A device, the precision of forward and backward passes, and the number of CPU threads.
 
-    Weights are always float32; 0 threads: PyTorch's own number.
+    Weights are always float32; 0 threads means PyTorch's own number.
     """
 
     device: Device
@@ -34,23 +34,23 @@ class Compute:
     threads: Annotated[int, Meta(ge=0, le=MAX_THREADS)] = 0
 
     def set_threads(self) -> None:
-        """Set PyTorch's number of threads; results are bit-equal for the same number only."""
+        """Set PyTorch's number of threads; results are bit-equal only for the same number."""
         if self.threads:
             torch.set_num_threads(self.threads)
 
     def autocast(self) -> AbstractContextManager[Any]:
-        """A context in which networks run in this precision."""
+        """Context manager in which networks run in this precision."""
         return torch.autocast(
             self.device, dtype=torch.bfloat16, enabled=self.precision == "bfloat16"
         )
 
     def cast(self, inputs: Tensor) -> Tensor:
-        """A network's inputs as `autocast` would convert them in each pass."""
+        """Convert a network's inputs as `autocast` would in each pass."""
         return inputs.bfloat16() if self.precision == "bfloat16" else inputs
 
 
 def read_compute(record: Mapping[str, Any], folder: Path) -> Compute | None:
-    """What a run is recorded to compute with; `None` if that has not been recorded yet.
+    """The device, precision and threads recorded for a run; `None` if not recorded yet.
 
     Raises:
         RunFolderError: the record is damaged.
@@ -61,7 +61,7 @@ def read_compute(record: Mapping[str, Any], folder: Path) -> Compute | None:
 
 
 def choose_device(device: str) -> Device:
-    """`cuda` or `cpu`, of `auto` what there is; raises `DeviceError` for what there is not."""
+    """`cuda` or `cpu`; `auto` prefers `cuda`. Raises `DeviceError` if unknown or unavailable."""
     if device not in DEVICES:
         raise DeviceError(f"device {quoted(device)}: expected one of {', '.join(DEVICES)}")
     available = torch.cuda.is_available()
@@ -74,16 +74,16 @@ def choose_device(device: str) -> Device:
 
 
 def choose_compute(device: Device, precision: str, threads: int) -> Compute:
-    """What a run computes with, from its configuration and the processor's abilities.
+    """Choose what a run computes with, from its configuration and the processor's capabilities.
 
-    Nothing is measured, so that the same configuration gives the same weights on the same machine,
-    whatever else runs on it. `magical bench training` measures, and recommends options.
+    Nothing is measured, so the same configuration gives the same weights on the same machine,
+    whatever else runs on it. `magical bench training` measures speeds and recommends options.
 
     Args:
         device: `cpu` or `cuda`.
         precision: `float32`, `bfloat16`, or `auto`: bfloat16 if the device has instructions for it.
-        threads: of the CPU; 0: PyTorch's own number, which is one per physical core unless the
-            environment (`OMP_NUM_THREADS`) or the program says otherwise.
+        threads: number of CPU threads; 0: PyTorch's own number, which is one per physical core
+            unless the environment (`OMP_NUM_THREADS`) or the program sets another.
     """
     low = precision == "bfloat16" or (precision == "auto" and has_bfloat16(device))
     if device == "cpu":
@@ -92,30 +92,30 @@ def choose_compute(device: Device, precision: str, threads: int) -> Compute:
 
 
 def has_bfloat16(device: str) -> bool:
-    """Whether `cpu` or `cuda` multiplies matrices of bfloat16 with instructions made for it.
+    """Whether `cpu` or `cuda` has instructions for multiplying bfloat16 matrices.
 
-    Not on a CPU whose newer instructions are switched off by `ATEN_CPU_CAPABILITY`.
+    False on a CPU whose newer instructions are switched off by `ATEN_CPU_CAPABILITY`.
     """
     if device == "cuda":
         return bool(torch.cuda.is_bf16_supported(including_emulation=False))
     if torch.backends.cpu.get_cpu_capability() in OLDER_INSTRUCTIONS:
         return False
-    # Not in every PyTorch that is supported.
+    # Missing from some supported versions of PyTorch.
     abilities: Mapping[str, Any] = getattr(torch.cpu, "get_capabilities", dict)()
     return bool(abilities.get("amx_bf16") or abilities.get("avx512_bf16"))
 
 
 _lock = threading.Lock()
-_inside = threading.local()  # `depth`: of contexts of `restored_threads` in this thread
-_num_inside: dict[str, int] = {"threads": 0, "float32": 0}  # threads or calls in a context
-_before: dict[str, Any] = {}  # what it was before the first of them
+_inside = threading.local()  # `depth`: nesting of `restored_threads` in this thread
+_num_inside: dict[str, int] = {"threads": 0, "float32": 0}  # threads or calls inside a context
+_before: dict[str, Any] = {}  # values before the first of them entered
 
 
 @contextmanager
 def full_float32() -> Iterator[None]:
-    """A context in which a GPU does not round float32 numbers to TensorFloat-32.
+    """Context manager in which a GPU does not round float32 numbers to TensorFloat-32.
 
-    PyTorch lets convolutions do so by default. Several threads may be in such contexts.
+    By default, PyTorch does so in convolutions. Several threads may be inside at the same time.
     """
     cudnn: Any = torch.backends.cudnn  # its parts are not in the type annotations
     parts: tuple[Any, ...] = (cudnn.conv, cudnn.rnn, torch.backends.cuda.matmul)
@@ -137,10 +137,10 @@ def full_float32() -> Iterator[None]:
 
 @contextmanager
 def restored_threads() -> Iterator[None]:
-    """A context after which PyTorch's number of threads is what it was before.
+    """Context manager that restores PyTorch's number of threads on exit.
 
-    The number set in one thread is also the default of others that are started later; so where
-    several threads are in such contexts, each restores the number of before the first.
+    The number set in one thread is also the default for threads started later. If several threads
+    are inside at the same time, each therefore restores the number from before the first entered.
     """
     depth = getattr(_inside, "depth", 0)
     with _lock:
@@ -167,9 +167,9 @@ def num_threads() -> int:
 
 @contextmanager
 def cpu_threads(number: int) -> Iterator[None]:
-    """A context in which PyTorch uses this number of CPU threads.
+    """Context manager in which PyTorch uses this number of CPU threads.
 
-    For small layers 1 is fastest: synchronisation costs more than it gains.
+    For small layers, one thread is fastest: synchronisation costs more than parallelism gains.
     """
     with restored_threads():
         torch.set_num_threads(number)
@@ -178,7 +178,7 @@ def cpu_threads(number: int) -> Iterator[None]:
 
 @contextmanager
 def gpu_memory_as_error() -> Iterator[None]:
-    """A context that raises `DeviceError` where a GPU's memory does not suffice."""
+    """Context manager that raises `DeviceError` if a GPU runs out of memory."""
     try:
         yield
     except torch.OutOfMemoryError as error:

@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM are handled between batches, so that no update is left half done."""
+"""Handling Ctrl-C and SIGTERM between batches, so that no update is left half done."""
 
 import signal
 import threading
@@ -9,9 +9,9 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 class Interrupts:
-    """A context in which the first signal sets `seen`; a second one raises `KeyboardInterrupt`.
+    """Context manager: the first signal sets `seen`, a second raises `KeyboardInterrupt`.
 
-    A signal whose handler is not Python's, in a program that embeds Python, is left to it.
+    In a program that embeds Python, signals whose handlers were not set from Python are left alone.
     """
 
     def __init__(self) -> None:

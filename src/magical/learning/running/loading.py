@@ -1,4 +1,4 @@
-"""Policies from run folders."""
+"""Loading policies from run folders."""
 
 from pathlib import Path
 
@@ -15,12 +15,12 @@ def load_policy(run: Path | str, device: str = "auto", greedy: bool = False) -> 
     Args:
         run: the run folder.
         device: `auto`, `cpu` or `cuda`.
-        greedy: take the most probable action instead of sampling. Without effect on policies of
+        greedy: take the most probable action instead of sampling. Has no effect on policies with
             continuous actions: `diffusion` always samples, `act` with such actions never does.
 
     Raises:
-        RunFolderError: no run folder, or a damaged one.
-        CheckpointError: no checkpoint yet, a damaged one, or one of another network.
+        RunFolderError: the folder is not a run folder, or is damaged.
+        CheckpointError: there is no checkpoint yet, or it is damaged or of another network.
     """
     folder = Path(run)
     config = read_config(folder)

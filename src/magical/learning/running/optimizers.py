@@ -1,4 +1,4 @@
-"""Optimisers during training."""
+"""The learning rate and the state of optimisers."""
 
 from collections.abc import Mapping
 from typing import Any

@@ -1,4 +1,4 @@
-"""A run in progress: what an algorithm uses of its run folder.
+"""A run in progress: an algorithm's interface to its run folder.
 
 The folder's files are described in `magical.runs.folder`.
 """
@@ -36,14 +36,14 @@ SAVING_SHARE = 0.05  # of training time is for saving checkpoints, at most
 class Run:
     """Logs metrics, saves checkpoints and decides when to stop.
 
-    In each step PyTorch's global random numbers, such as those of dropout, follow from the seed and
-    the step's number.
+    In each step, PyTorch's global random numbers, such as those for dropout, are determined by the
+    seed and the step's number.
 
     Attributes:
         folder: the run folder.
         saved: the checkpoint to resume from, or `None` in a new run.
-        step: the steps (batches or updates) that the newest checkpoint has behind it.
-        callbacks: functions that are called after each line of metrics.
+        step: the number of steps (batches or updates) done at the newest checkpoint.
+        callbacks: functions called after each line of metrics.
     """
 
     def __init__(
@@ -80,7 +80,7 @@ class Run:
         self._metrics.close()
 
     def describe(self, **facts: Any) -> None:
-        """Write facts into `run.json`; a resumed run must find the same ones.
+        """Record facts in `run.json`; a resumed run must have the same ones.
 
         Raises `RunFolderError` if a fact has changed since the run was started.
         """
@@ -120,14 +120,14 @@ class Run:
         log_every: int = 1,
         last: bool = False,
     ) -> bool:
-        """End a step: log metrics, check them, save a checkpoint; each if it is due.
+        """End a step: log metrics, check them, and save a checkpoint, each if due.
 
-        All three are done at the last step, and where the run is interrupted or is to stop.
+        All three are done at the last step, and when the run is interrupted or has to stop.
 
         Args:
-            step: the steps that have been done.
-            metrics: called for the metrics since they were last logged.
-            state: called for the state to save.
+            step: the number of steps done.
+            metrics: called to get the metrics since they were last logged.
+            state: called to get the state to save.
             log_every: steps between lines of metrics.
             last: whether the algorithm, or a part of it, ends with this step.
 
@@ -135,7 +135,7 @@ class Run:
             Whether the run stops here.
 
         Raises:
-            DivergedError: metrics or state are not finite; the checkpoints stay as they were.
+            DivergedError: metrics or state are not finite; the checkpoints are left unchanged.
         """
         stops = self._interrupts.seen or step >= self._last
         if stops or last or step % log_every == 0:

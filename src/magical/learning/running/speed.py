@@ -1,4 +1,4 @@
-"""Training speed by precision and number of threads, to choose a run's options by."""
+"""Training speed by precision and number of threads, for choosing a run's options."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -21,21 +21,21 @@ def training_speeds(
     threads: Sequence[int] = (),
     clock: Callable[[], float] = time.perf_counter,
 ) -> dict[Compute, float]:
-    """Samples per second, forward and backward, of each way to compute on this machine.
+    """Measure samples per second, forward and backward, for each way to compute on this machine.
 
-    Both precisions, on a CPU with several numbers of threads. They take turns, so
-    that other load on the machine affects all alike; each one's fastest batch counts.
+    Both precisions are measured, on a CPU with several numbers of threads. They take turns, so that
+    other load on the machine affects all alike; the fastest batch of each counts.
 
     Args:
-        network: name of an architecture, with batch norm, on LoRes4E observations.
+        network: the name of an architecture, used with batch norm and LoRes4E observations.
         batch_size: samples per batch.
         device: `auto`, `cpu` or `cuda`.
-        rounds: timed batches of each.
+        rounds: number of timed batches of each.
         threads: numbers of CPU threads; by default 1 and PyTorch's own.
-        clock: with `time.process_time`, the speed of one thread is that of an idle machine.
+        clock: the timer; `time.process_time` gives the speed of one thread on an idle machine.
 
     Raises:
-        DeviceError: `cuda` was asked for and there is none.
+        DeviceError: `cuda` was requested but is not available.
     """
     chosen = choose_device(device)
     config = BCConfig.preset(

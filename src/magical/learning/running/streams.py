@@ -1,6 +1,6 @@
-"""Random streams of a run: a generator is a pure function of the seed, its purpose and a number.
+"""A run's random streams: a generator is a pure function of the seed, its purpose and a number.
 
-No generator's state has to be saved, and batches can be prepared ahead or out of order: batch 1,000
+No generator state has to be saved, and batches can be prepared ahead or out of order: batch 1,000
 is the same whether or not the run was resumed at 999.
 """
 
@@ -12,7 +12,7 @@ from enum import IntEnum
 import numpy as np
 import torch
 
-# Of PyTorch's global generator: while one thread initialises a network, a run in another one waits.
+# Guards PyTorch's global generator: while one thread initialises a network, runs in others wait.
 _lock = threading.RLock()
 
 
@@ -37,9 +37,9 @@ def stream(seed: int, purpose: Purpose, number: int = 0) -> np.random.Generator:
 
 
 def seed_torch(seed: int, purpose: Purpose, number: int = 0) -> None:
-    """Make PyTorch's global random numbers, of CPU and GPUs, those of a stream."""
+    """Seed PyTorch's global generators, of the CPU and the GPUs, from a stream."""
     value = int(stream(seed, purpose, number).integers(2**63))
-    # `torch.manual_seed` records the stack of its callers, too, for each kind of device not in use.
+    # `torch.manual_seed` also records its call stack for each kind of device not in use.
     with _lock:
         torch.default_generator.manual_seed(value)
         if torch.cuda.is_available():
@@ -47,14 +47,14 @@ def seed_torch(seed: int, purpose: Purpose, number: int = 0) -> None:
 
 
 def restored_generators(device: str = "cpu") -> AbstractContextManager[None]:
-    """A context after which PyTorch's global generators, of CPU and device, are as before."""
-    # Without their numbers, all GPUs of the machine would be initialised.
+    """Context manager that restores PyTorch's global generators, of CPU and device, on exit."""
+    # Without device numbers, all GPUs of the machine would be initialised.
     return torch.random.fork_rng([torch.cuda.current_device()] if device == "cuda" else [])
 
 
 @contextmanager
 def seeded_init(seed: int, number: int = 0) -> Iterator[None]:
-    """A context in which PyTorch's initialisation of network `number` follows from the seed."""
+    """Context manager in which PyTorch initialises network `number` from the seed."""
     with _lock, restored_generators():
         seed_torch(seed, Purpose.INIT, number)
         yield

@@ -69,21 +69,21 @@ def train(
     callback: Callback | None = None,
     track: Sequence[str] = (),
 ) -> TrainResult:
-    """Train a policy, in the run folder `out`.
+    """Train a policy in the run folder `out`.
 
-    Ctrl-C and SIGTERM save a checkpoint and return; a second Ctrl-C interrupts at once. A new run
-    that fails before it has logged or saved anything is removed again.
+    On Ctrl-C or SIGTERM, the run saves a checkpoint and returns; a second signal interrupts it at
+    once. A new run that fails before it has logged or saved anything is removed.
 
     Args:
         config: an algorithm's configuration, such as `BCConfig.preset("quick", ...)`.
-        out: a new or an empty folder; with `resume`, one that holds this run.
-        resume: continue from the newest checkpoint; on a CPU bit-equal to an uninterrupted run.
+        out: a new or empty folder; with `resume`, one that holds this run.
+        resume: continue from the newest checkpoint; on a CPU, bit-equal to an uninterrupted run.
         previous_checkpoint: with `resume`, continue from the checkpoint before the newest.
         stop_after: save a checkpoint and return after this many more batches or updates.
         progress: show a progress bar on standard error.
-        callback: called as `callback(step, metrics)` after each line of `metrics.jsonl`. What it
-            raises ends the training; the run can be resumed from its newest checkpoint.
-        track: trackers that get the metrics too: `tensorboard` (needs the extra), `trackio`,
+        callback: called as `callback(step, metrics)` after each line of `metrics.jsonl`. An
+            exception from it ends training; the run can be resumed from its newest checkpoint.
+        track: trackers that also receive the metrics: `tensorboard` (needs the extra), `trackio`,
             `wandb`, `mlflow`, or `module:NAME`.
 
     Raises:
@@ -112,7 +112,7 @@ def train(
 
 @contextmanager
 def _opened(folder: Path, config: Config, resume: bool, previous: bool) -> Iterator[None]:
-    """A run folder that is locked and ready to be trained in."""
+    """Context manager with the run folder locked and PyTorch set up for training in it."""
     keep_freed_memory()
     if previous and not resume:
         raise InvalidConfigError("previous_checkpoint needs resume: a new run has no checkpoints")

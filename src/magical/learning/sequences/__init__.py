@@ -1,1 +1,1 @@
-"""What learners of sequences of actions share: how they are fitted, and chunks of actions."""
+"""Shared parts of the learners of action sequences: fitting, and chunks of actions."""

@@ -1,4 +1,4 @@
-"""Chunks of actions: samples to learn them from, and policies whose network predicts them."""
+"""Chunks of actions: samples to learn from, and policies whose network predicts chunks."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -19,13 +19,13 @@ from magical.learning.settings import POSITIVE, Settings, option
 from magical.scene.actions import NUM_ACTIONS, PARTS
 
 Floats = NDArray[np.float64]
-# Numbers that a network returns for an action: logits, or the action itself.
+# How many numbers a network returns per action: logits, or the action itself.
 ACTION_SIZES = {"discrete": NUM_ACTIONS, "continuous": len(PARTS)}
 
 
 @dataclass(frozen=True, kw_only=True)
 class ChunkSettings(Settings):
-    """The length of chunks, and how much of them is executed."""
+    """The length of chunks, and how much of each is executed."""
 
     chunk: int = option(16, "actions in a chunk", POSITIVE)
     execute: int = option(1, "steps from one prediction of a chunk to the next", POSITIVE)
@@ -41,25 +41,25 @@ class ChunkSettings(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class ChunkConfig(SequenceConfig):
-    """What the configurations of learners of chunks are composed of."""
+    """Base of the configurations of learners of chunks."""
 
     chunks: ChunkSettings = field(default_factory=ChunkSettings)
 
 
 class Chunks(NamedTuple):
-    """Samples of demonstrations with the actions from each of them on."""
+    """Samples of demonstrations, each with the K actions that start there."""
 
     images: Tensor  # (B, C, H, W) float32 in [0, 1]
-    actions: Tensor  # (B, K) int64, or (B, K, 3) float32 of continuous ones
+    actions: Tensor  # (B, K) int64, or (B, K, 3) float32 if continuous
     exist: Tensor  # (B, K) bool: false beyond the demonstration's end
     tasks: Tensor  # (B,) int64
 
 
 def sample_chunks(config: ChunkConfig, data: ExpertData, number: int) -> Chunks:
-    """Batch `number`: a function of the data, the seed and the number alone.
+    """Batch `number`: depends only on the data, the configuration and the number.
 
-    Where no-ops have been left out of the data, the actions are the next ones that are none. Beyond
-    a demonstration's end its last action is repeated.
+    If no-ops have been left out of the data, a chunk has the next actions that are not no-ops.
+    Beyond a demonstration's end, its last action is repeated.
     """
     rng = stream(config.seed, Purpose.BATCHES, number)
     rows = data.sample(config.fitting.batch_size, rng)
@@ -70,21 +70,21 @@ def sample_chunks(config: ChunkConfig, data: ExpertData, number: int) -> Chunks:
 
 
 class ChunkPolicy(TrainedPolicy):
-    """Predicts a chunk every `execute` steps, and combines those that predict the present step.
+    """Predicts a chunk every `execute` steps, and combines those that predict the current step.
 
-    A new chunk replaces what is left of the one before. With an `ensemble_decay` m, all chunks that
-    predict a step are averaged, the n-th of them, the oldest being number 0, with weight exp(-m n).
+    A new chunk replaces what is left of the previous one. With an `ensemble_decay` m, all chunks
+    that predict a step are averaged, the n-th with weight exp(-m n), the oldest being number 0.
 
     The network maps observations (B, ...) and tasks (B,) to chunks (B, K, D): logits of the 18
-    actions, of which probabilities are averaged, or continuous actions. An environment's memory is
-    its own: what is executed there does not depend on when episodes start elsewhere in the batch.
+    actions, whose probabilities are averaged, or continuous actions. Each environment has its own
+    state: when it predicts does not depend on when episodes start elsewhere in the batch.
     """
 
     config: ChunkConfig
-    _sums: Floats  # (B, K, D): of the next K steps, the weighted sums of what was predicted
+    _sums: Floats  # (B, K, D): the weighted sums of the predictions for the next K steps
     _weights: Floats  # (B, K): the sums of the weights
     _counts: NDArray[np.int64]  # (B, K): the number of predictions
-    _steps: NDArray[np.int64]  # (B,): since the episode's start
+    _steps: NDArray[np.int64]  # (B,): steps since the episode's start
 
     def reset(self, mask: Mask) -> None:
         """Forget the chunks of the environments in which an episode starts."""
@@ -117,11 +117,11 @@ class ChunkPolicy(TrainedPolicy):
 
     @property
     def ensemble_decay(self) -> float | None:
-        """See above; `None`: chunks are not averaged."""
+        """See the class; `None`: chunks are not averaged."""
         return None
 
     def extra_inputs(self, count: int, rng: np.random.Generator) -> Sequence[Tensor]:
-        """What the network takes besides observations and tasks; sampled in every step."""
+        """Further inputs of the network, after observations and tasks; sampled in every step."""
         return ()
 
     def _add(self, chunks: Floats, due: Mask) -> None:

@@ -22,7 +22,7 @@ from magical.learning.running.run import Run
 from magical.learning.settings import NOT_NEGATIVE, POSITIVE, Settings, option
 
 MAX_GRAD_NORM = 10.0
-QUICK = {"network": "narrow", "batches": 2400, "precision": "auto"}  # of the preset
+QUICK = {"network": "narrow", "batches": 2400, "precision": "auto"}  # settings of the preset
 AnyConfig = TypeVar("AnyConfig", bound="SequenceConfig")
 Network = TypeVar("Network", bound=nn.Module)
 Batch = TypeVar("Batch")
@@ -49,7 +49,7 @@ class FittingSettings(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class SequenceConfig(Config):
-    """What the configurations of learners of sequences are composed of."""
+    """Base of the configurations of sequence learners."""
 
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {"paper": {}, "quick": QUICK}
 
@@ -59,7 +59,7 @@ class SequenceConfig(Config):
 
     @property
     def num_updates(self) -> int:
-        """All batches."""
+        """The number of batches."""
         return self.fitting.batches
 
     @property
@@ -90,14 +90,14 @@ def fit(
     """Train from the run's step to the last batch, or until the run stops.
 
     The data are the run's demonstrations, without no-ops as in behavioural cloning. Frames are
-    augmented by rendering where all demonstrations have poses.
+    augmented by rendering if all demonstrations have poses.
 
     Args:
-        config: of the run.
-        run: where it is logged, and continued from.
-        network: what is trained, and saved as the policy.
-        sample: batch n of the data, a function of the seed and n alone.
-        losses: metrics of a batch, of which `loss` is minimised.
+        config: the configuration of the run.
+        run: logs and saves the training, which continues from its checkpoint.
+        network: the module to train, saved as the policy.
+        sample: returns batch n, depending only on the configuration, the data and n.
+        losses: the metrics of a batch, of which `loss` is minimised.
 
     Raises:
         DemonstrationsError, RunFolderError: see `load_demonstrations` and `ExpertData`.

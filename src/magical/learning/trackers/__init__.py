@@ -1,8 +1,8 @@
-"""Trackers, a file each: where the metrics of a run go besides its folder.
+"""Trackers, one per file: where the metrics of a run go in addition to its folder.
 
-Such a file opens a session of its library for a run, and at its end has `TRACKER = Tracker(...)`.
-Those of other distributions are found by entry points of the group `magical.trackers`, and any
-other by `module:NAME`.
+Each file opens a session of its library for a run, and ends with `TRACKER = Tracker(...)`. Trackers
+of other distributions are found by entry points of the group `magical.trackers`, and all others by
+`module:NAME`.
 """
 
 import hashlib
@@ -21,14 +21,14 @@ LogAll = Callable[[int, Mapping[str, float | str]], object]  # step, metrics
 
 @dataclass(frozen=True, slots=True)
 class TrackedRun:
-    """What a tracker is told of a run.
+    """What a tracker is told about a run.
 
     Attributes:
         folder: the run folder; its name is the run's.
         id: 32 hexadecimal digits, the same whenever the run is resumed.
         config: the configuration as plain data.
-        step: the steps behind the checkpoint that training continues from, 0 in a new run. Metrics
-            of later steps that the tracker already has are logged again.
+        step: the step of the checkpoint that training continues from, 0 in a new run. Metrics of
+            later steps that the tracker already has are logged again.
     """
 
     folder: Path
@@ -38,7 +38,7 @@ class TrackedRun:
 
     @staticmethod
     def of(folder: Path, step: int) -> "TrackedRun":
-        """The run of a folder that training continues from a step."""
+        """The run in a folder, whose training continues from a step."""
         config, began = read_json(folder / CONFIG), read_json(folder / RECORD).get("began")
         sha = hashlib.sha256(f"{folder.resolve().name} {began} {config}".encode())
         return TrackedRun(folder, sha.hexdigest()[:32], config, step)
@@ -51,11 +51,11 @@ class TrackedRun:
 
 @dataclass(frozen=True, slots=True)
 class Tracker:
-    """What a file of this folder offers.
+    """A tracker, as defined in each file of this folder.
 
     Attributes:
         open: a function from a run to a context manager, whose value is called as
-            `log(step, metrics)` after each line of metrics, with those that are numbers.
+            `log(step, metrics)` with the numeric metrics after each line of metrics.
     """
 
     open: Callable[[TrackedRun], AbstractContextManager[Log]]
@@ -65,16 +65,16 @@ _TRACKERS = Registry("tracker", Tracker, "magical.trackers", __name__, "TRACKER"
 
 
 def tracker_names() -> list[str]:
-    """Every tracker, of this and of other distributions, alphabetically; imports none."""
+    """The sorted names of all trackers, of this and other distributions; imports none."""
     return _TRACKERS.names()
 
 
 @contextmanager
 def opened_trackers(names: Sequence[str], folder: Path, step: int) -> Iterator[LogAll]:
-    """Open sessions of the trackers of these names, for a run; the value logs to all of them.
+    """Context manager that opens sessions of these trackers for a run; its value logs to all.
 
     Raises:
-        UnknownNameError: there is no tracker of a name.
+        UnknownNameError: there is no tracker with one of the names.
         MissingDependencyError: a tracker's library is not installed.
     """
     trackers = [_TRACKERS.get(name) for name in names]

@@ -1,4 +1,4 @@
-"""MLflow, in the experiment of MLFLOW_EXPERIMENT_NAME (default: magical)."""
+"""MLflow, in the experiment named by MLFLOW_EXPERIMENT_NAME (default: magical)."""
 
 import os
 from collections.abc import Iterator
@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from magical.extras import library
 from magical.learning.trackers import Log, TrackedRun, Tracker
 
-_ID = "magical.run"  # the tag that finds a run that is resumed: MLflow chooses its own ids
+_ID = "magical.run"  # the tag by which a resumed run is found: MLflow chooses its own ids
 
 
 @contextmanager

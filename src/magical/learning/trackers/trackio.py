@@ -1,4 +1,4 @@
-"""trackio, in the project of TRACKIO_PROJECT (default: magical)."""
+"""trackio, in the project named by TRACKIO_PROJECT (default: magical)."""
 
 import os
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""Weights & Biases, in the project of WANDB_PROJECT (default: magical)."""
+"""Weights & Biases, in the project named by WANDB_PROJECT (default: magical)."""
 
 import os
 from collections.abc import Iterator

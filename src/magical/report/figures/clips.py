@@ -24,22 +24,22 @@ from magical.scene import View
 from magical.scene.constants import CONTROL_RATE
 
 SIZE = 160  # pixels across
-LAST_FRAME = 1.5  # seconds that an animation shows its last frame
+LAST_FRAME = 1.5  # seconds for which an animation shows its last frame
 
 
 @dataclass(frozen=True, slots=True)
 class Clip:
-    """One rollout, the allocentric view every few control steps, and its final score."""
+    """One rollout: the allocentric view every few control steps, and the final score."""
 
     score: float
     frames: NDArray[np.uint8]  # (F, H, W, 3)
     every: int = 1  # control steps between frames
-    shown: NDArray[np.uint8] | None = None  # what the policy got half-way, (H, W, 3)
+    shown: NDArray[np.uint8] | None = None  # the policy's observation half-way, (H, W, 3)
 
     def webp(self, rate: float = CONTROL_RATE, quality: int = 70, lossless: bool = False) -> bytes:
-        """An animated WebP that loops, at `rate` control steps a second.
+        """A looping animated WebP, at `rate` control steps per second.
 
-        If `lossless`, `quality` is the effort of compression.
+        If `lossless`, `quality` is the compression effort.
         """
         images = [Image.fromarray(frame) for frame in self.frames]
         step = round(1000 * self.every / rate)
@@ -59,7 +59,7 @@ class Clip:
         return file.getvalue()
 
     def strip(self, count: int = 6) -> NDArray[np.uint8]:
-        """`count` frames from first to last side by side, (H, W * count, 3)."""
+        """`count` frames from first to last, side by side, (H, W * count, 3)."""
         indices = np.linspace(0, len(self.frames) - 1, count).round().astype(int)
         return np.concatenate(list(self.frames[indices]), axis=1)
 
@@ -76,13 +76,13 @@ def record_rollouts(
 
     Args:
         policy: see `Policy`.
-        evaluation: how it was evaluated.
-        rollouts: the environment and the number of each.
-        size: pixels across a frame.
+        evaluation: how the policy was evaluated.
+        rollouts: the environment and the rollout number of each.
+        size: frame width and height in pixels.
         every: control steps between frames; the last step is always shown.
 
     Raises:
-        PolicyError: the policy returned something else than actions.
+        PolicyError: the policy returned something other than actions.
     """
     env_ids = [env_id for env_id, _ in rollouts]
     seeds = [evaluation_seed(number, evaluation.seed) for _, number in rollouts]
@@ -113,12 +113,12 @@ def record_rollouts(
 
 
 def data_uri(data: bytes, kind: str) -> str:
-    """File contents as a data URI, for instance of kind `image/webp`."""
+    """File contents as a data URI of a media type such as `image/webp`."""
     return f"data:{kind};base64,{base64.b64encode(data).decode()}"
 
 
 def encoded(pixels: NDArray[np.uint8], kind: str, **options: Any) -> bytes:
-    """An (H, W, 3) image as a file's contents, such as of kind `PNG`; `options` are Pillow's."""
+    """An (H, W, 3) image encoded in a format such as `PNG`; `options` are Pillow's."""
     file = io.BytesIO()
     Image.fromarray(pixels).save(file, kind, **options)
     return file.getvalue()

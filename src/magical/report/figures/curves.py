@@ -25,12 +25,12 @@ from magical.runs.folder import CURVES
 from magical.runs.metrics import read_metrics
 from magical.runs.plan import in_words
 
-PANELS = ("loss", "accuracy", "score")  # of a page, where the metrics have them
-SMOOTHING = 50  # rows of metrics that a curve is averaged over, at most a tenth of all
-MAX_POINTS = 200  # of a curve, up to twice as many
-LARGEST = 1e300  # number that is plotted
+PANELS = ("loss", "accuracy", "score")  # of a page, if the metrics have them
+SMOOTHING = 50  # rows of metrics in the moving average, at most a tenth of all
+MAX_POINTS = 200  # of a curve, roughly: it may have up to twice as many
+LARGEST = 1e300  # numbers from here on are not plotted
 NOT_PLOTTED = ("step", "environment_steps", "warning")
-COLUMNS = 4  # of `save_learning_curves`
+COLUMNS = 4  # of the figure of `save_learning_curves`
 
 MetricRows = Sequence[Mapping[str, Any]]
 
@@ -38,14 +38,14 @@ MetricRows = Sequence[Mapping[str, Any]]
 def curves_by_task(
     results: Sequence[Result],
 ) -> tuple[dict[str, list[str]], dict[Path, str]]:
-    """Learning curves, a figure for each task and quantity; a line for each training run.
+    """Learning curves: a figure for each task and quantity, with a line for each training run.
 
     Args:
-        results: those without a training run, or whose run has no metrics, are left out. A method's
-            place among all gives its colour.
+        results: evaluated runs. Those without a training run, or whose run has no metrics, are
+            left out. A method's position among all methods determines its colour.
 
     Returns:
-        The figures as SVG by task, and what is wrong with damaged metrics by folder.
+        The figures as SVG by task, and the errors of damaged metrics by folder.
     """
     methods = list(dict.fromkeys(result.entry.row for result in results))
     runs = {result.run: result for result in results if result.run is not None}
@@ -76,7 +76,7 @@ def _trained_on(result: Result) -> str:
 def _panel(
     runs: Sequence[tuple[str, MetricRows]], key: str, methods: Sequence[str], label: str, name: str
 ) -> str:
-    """One quantity of all runs on a task as SVG; empty where none has it."""
+    """One quantity of all runs on a task as SVG; empty if no run has it."""
     curves = [(method, points) for method, rows in runs if (points := _points(rows, key))]
     if not curves:
         return ""
@@ -109,7 +109,7 @@ def _is_finite(number: object) -> bool:
 
 
 def _smooth(points: Sequence[tuple[float, float]]) -> tuple[Floats, Floats]:
-    """Means over each point and those before it: the metrics of single batches are noisy."""
+    """A trailing moving average: the metrics of single batches are noisy."""
     steps, values = np.array(points, np.float64).T
     width = max(1, min(SMOOTHING, len(points) // 10))
     ends = np.arange(len(points), 0, -max(1, len(points) // MAX_POINTS))[::-1]
@@ -118,7 +118,7 @@ def _smooth(points: Sequence[tuple[float, float]]) -> tuple[Floats, Floats]:
 
 
 def save_learning_curves(run: Path) -> Path | None:
-    """Plot every number of a run's metrics over the steps, as a PNG in the run folder.
+    """Plot every number in a run's metrics against the step, as a PNG in the run folder.
 
     Returns:
         The picture's path; `None`, without a picture, if there are no numbers yet or matplotlib

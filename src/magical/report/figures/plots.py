@@ -1,4 +1,4 @@
-"""Plots as SVG that can stand in one HTML page together: unique ids, text as text."""
+"""Plots as SVG for inlining in one HTML page: unique ids, text kept as text."""
 
 import html
 import io
@@ -12,56 +12,56 @@ import numpy as np
 
 from magical.evaluation.intervals import Floats, Interval
 
-# Okabe and Ito's colours, which the colour-blind can tell apart; then the same with other dashes.
+# Okabe and Ito's colours, which are colour-blind safe; then the same colours with other dashes.
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#222222")
 DASHES = ("-", "--", ":", "-.")
 WIDTH = 6.0  # inches
 STYLE: Any = {
     "font.size": 11,
-    "svg.fonttype": "none",  # text stays text: it can be searched and read aloud
+    "svg.fonttype": "none",  # text stays text: searchable, and readable by screen readers
     "svg.hashsalt": "magical",  # the same figure gets the same ids
-    "text.parse_math": False,  # names of methods are shown as they are
+    "text.parse_math": False,  # method names are shown verbatim
 }
 
 
 def line_style(index: int) -> dict[str, Any]:
-    """Colour and dashes of the method with this number, different for the first 28."""
+    """Colour and dashes of the method with this index; distinct for the first 28."""
     dashes = DASHES[index // len(COLOURS) % len(DASHES)]
     return {"color": COLOURS[index % len(COLOURS)], "linestyle": dashes}
 
 
 @contextmanager
 def plotting() -> Iterator[None]:
-    """The settings that figures are made and written with."""
+    """Apply the settings that figures are made and saved with."""
     import matplotlib as mpl
 
     with mpl.rc_context(STYLE), warnings.catch_warnings():
-        # Text stays text, so it is shown in the reader's fonts, not in matplotlib's.
+        # Text stays text and is shown in the reader's fonts, so matplotlib's need not have it.
         warnings.filterwarnings("ignore", "Glyph ", UserWarning)
         yield
 
 
 def new_figure(height: float, width: float = WIDTH) -> Any:
-    """An empty figure, in inches."""
-    # From the report extra. Figure alone: no window system, no global state.
+    """An empty figure of a size in inches."""
+    # From the `report` extra. `Figure` without pyplot: no window system, no global state.
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height), layout="constrained")
 
 
 def svg(figure: Any, name: str, label: str) -> str:
-    """A figure as an `<svg>` element; to be called within `plotting`.
+    """A figure as an `<svg>` element; call this within `plotting`.
 
     Args:
-        figure: of matplotlib.
-        name: a prefix of all ids in it, unique on the page.
-        label: what it shows, for those who cannot see it.
+        figure: a matplotlib figure.
+        name: a prefix of all ids in the figure, unique on the page.
+        label: what the figure shows, for screen readers.
     """
     file = io.StringIO()
     figure.savefig(file, format="svg")
     text = file.getvalue()
     text = text[text.index("<svg") :]
-    # Metadata, and a style sheet that would hold for the whole page: the page has one of its own.
+    # Remove the metadata and the style sheet, which would apply to the whole page.
     text = re.sub(r"<metadata>.*?</metadata>\s*", "", text, flags=re.DOTALL)
     text = re.sub(r"<defs>\s*<style.*?</style>\s*</defs>\s*", "", text, flags=re.DOTALL)
     text = re.sub(r'\b(id=")|(url\(#)|(href="#)', lambda m: f"{m[0]}{name}-", text)
@@ -92,9 +92,9 @@ def profile_plot(thresholds: Floats, profiles: Mapping[str, Sequence[Interval]])
 def interval_plot(
     intervals: Mapping[str, Interval], label: str, name: str, zero: bool = False
 ) -> str:
-    """Estimates with their intervals, one below the other, in the methods' colours.
+    """Estimates with their intervals, one below another, in the methods' colours.
 
-    With `zero` they are differences: in one colour, with a line at 0.
+    With `zero`, they are differences: all in one colour, with a line at 0.
     """
     with plotting():
         figure = new_figure(0.9 + 0.36 * len(intervals))
@@ -114,7 +114,7 @@ def interval_plot(
 
 
 def legend(figure: Any, lines: Mapping[str, Any]) -> None:
-    """A legend below a figure, of lines by name; nothing for no lines."""
+    """Add a legend below a figure, with lines by name; no legend without lines."""
     if lines:
         # matplotlib leaves out names that begin with an underscore.
         names = [f"\u200b{name}" if name.startswith("_") else name for name in lines]
@@ -123,11 +123,11 @@ def legend(figure: Any, lines: Mapping[str, Any]) -> None:
 
 
 def legend_height(count: int) -> float:
-    """What a legend of so many lines adds to a figure's height, in inches."""
+    """The height, in inches, that a legend with `count` lines adds to a figure."""
     return 0.22 * -(-count // 2)
 
 
 def tidy(axes: Any) -> None:
-    """A light grid, and no frame above or on the right."""
+    """Add a light grid, and remove the frame at the top and on the right."""
     axes.grid(alpha=0.3)
     axes.spines[["top", "right"]].set_visible(False)

@@ -1,4 +1,4 @@
-"""The best, the median and the worst rollout of evaluated runs, recorded again."""
+"""The best, the median and the worst rollout of evaluated runs, re-run and recorded."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -14,9 +14,9 @@ from magical.tasks import get_task
 from magical.tasks.axes import short_variant
 
 SIZE = 120  # pixels across
-MAX_FRAMES = 60  # of a clip
-QUALITY = 55  # of WebP, 0 to 100
-MAX_BYTES = 9_000_000  # of all clips of a page, encoded
+MAX_FRAMES = 60  # in a clip
+QUALITY = 55  # of WebP compression, 0 to 100
+MAX_BYTES = 9_000_000  # of all clips on a page, encoded
 
 LoadPolicy = Callable[[Result], Policy]
 
@@ -31,7 +31,7 @@ class ShownClip:
 
 @dataclass(frozen=True, slots=True)
 class Reel:
-    """One run's rollouts on a task: by variant, from best to worst."""
+    """Clips of one run's rollouts on a task: by variant, from best to worst."""
 
     title: str
     clips: Sequence[ShownClip]
@@ -42,15 +42,15 @@ class Reel:
 def record_reels(
     results: Sequence[Result], load_policy: LoadPolicy, limit: int
 ) -> tuple[list[Reel], list[str]]:
-    """Reels of at most `limit` runs: of each method on each task, the run with the median mean.
+    """Reels of at most `limit` runs: for each method and task, the run with the median mean score.
 
     Args:
         results: evaluated runs.
-        load_policy: gives a run's policy; may raise `MagicalError`.
-        limit: how many.
+        load_policy: loads a run's policy; may raise `MagicalError`.
+        limit: the maximum number of reels.
 
     Returns:
-        The reels, and what is not shown and why.
+        The reels, and notes on what is not shown and why.
     """
     reels, notes, room = [], [], MAX_BYTES
     chosen = _median_runs(results)
@@ -74,9 +74,10 @@ def record_reels(
 
 
 def extremes(scores: Sequence[RolloutScore]) -> list[tuple[str, RolloutScore]]:
-    """The best, the median and the worst rollout; one of them if all have the same score.
+    """The best, the median and the worst rollout; only the first if all have the same score.
 
-    Of rollouts with the same score the first counts as worse; the median is the lower one of two.
+    Among rollouts with the same score, earlier ones count as worse; of two medians, the lower one
+    is taken.
     """
     ordered = sorted(scores, key=lambda row: (row.score, row.rollout))
     if ordered[0].score == ordered[-1].score:
@@ -87,7 +88,7 @@ def extremes(scores: Sequence[RolloutScore]) -> list[tuple[str, RolloutScore]]:
 
 
 def _median_runs(results: Sequence[Result]) -> list[tuple[str, Result]]:
-    """Task and run: of each method's runs on a task, the one with the median mean score."""
+    """(task, run): for each method and task, the run with the median mean score."""
     groups: dict[tuple[str, str], list[tuple[float, int]]] = {}
     for number, result in enumerate(results):
         for task, cells in by_variant(result.entry.scores).items():
@@ -120,7 +121,7 @@ def _record(policy: Policy, result: Result, task: str, title: str) -> Reel:
 
 
 def _caption(variant: str, name: str, row: RolloutScore, clip: Clip) -> str:
-    """Such as `Layout, best: 1.00`; says so where the score is not what was recorded."""
+    """A caption such as `Layout, best: 1.00`; says so if the score is not the recorded one."""
     text = f"{variant}, {'every rollout' if name == 'all' else name}: {clip.score:.2f}"
     same = abs(clip.score - row.score) < 1e-9
     return text if same else f"{text} (recorded: {row.score:.2f})"

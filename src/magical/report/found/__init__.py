@@ -1,1 +1,1 @@
-"""Evaluated runs that folders hold, what is missing among them, and how each was made."""
+"""Evaluated runs in folders, which scores are missing, and how each run was made."""

@@ -15,14 +15,14 @@ from magical.runs.folder import CONFIG, CURVES, METRICS, RECORD
 
 FILES = (SCORES_FILE, ENTRY_FILE)  # of an entry
 RUN_FILES = (CONFIG, RECORD, METRICS, CURVES)
-MAX_TEXT = 300  # characters of a value
+MAX_TEXT = 300  # characters shown of a value
 
-Facts = Mapping[str, str]  # settings, versions and whatever else is recorded, as text
+Facts = Mapping[str, str]  # settings, versions and everything else that is recorded, as text
 
 
 @dataclass(frozen=True, slots=True)
 class RunFacts:
-    """One run: what it differs in from the other runs of its method, and links to its files."""
+    """One run: how it differs from the other runs of its method, and links to its files."""
 
     folder: str
     facts: Facts
@@ -39,7 +39,7 @@ class MethodFacts:
 
 
 def describe_methods(results: Iterable[Result], page: Path | None = None) -> list[MethodFacts]:
-    """How each method's runs were made; with the page's path, with links to their files."""
+    """How each method's runs were made; if the page's path is given, with links to their files."""
     groups = group_by(results, attrgetter("entry.row"))
     return [_describe(method, runs, page) for method, runs in groups.items()]
 
@@ -63,7 +63,7 @@ def _describe(method: str, results: Sequence[Result], page: Path | None) -> Meth
 
 
 def _facts(result: Result) -> dict[str, str]:
-    """All that is recorded about a run, flat, as text."""
+    """Everything that is recorded about a run, flattened, as text."""
     entry, record = result.entry, dict(result.record)
     demonstrations = record.pop("demonstrations", [])
     used = len(demonstrations) if isinstance(demonstrations, list) else 0
@@ -84,7 +84,7 @@ def _facts(result: Result) -> dict[str, str]:
 
 
 def _flat(name: str, value: Any) -> Iterator[tuple[str, str]]:
-    """Names and texts of a value; those in mappings one by one. Empty values are left out."""
+    """Names and texts of a value; mappings are flattened, and empty values are left out."""
     if isinstance(value, Mapping):
         for key, item in value.items():
             yield from _flat(f"{name}: {key}" if name else str(key), item)

@@ -10,7 +10,7 @@ from magical.tasks.axes import short_variant
 
 
 class Missing(NamedTuple):
-    """Scores that a plan, another method or another run leads one to expect."""
+    """Scores that are expected from a plan, another method or another run, but missing."""
 
     method: str
     task: str
@@ -18,11 +18,11 @@ class Missing(NamedTuple):
 
 
 def find_missing(found: Found) -> list[Missing]:
-    """What is missing.
+    """All scores that are missing.
 
-    With a plan, its runs without scores. Without one, a method is expected to have every task that
-    another has, with as many runs, with the same seeds of training where those are known. A run is
-    expected to have all variants of its tasks.
+    With a plan, these are its runs without scores. Without one, a method is expected to have every
+    task that another method has, with as many runs and, if known, the same training seeds, and a
+    training run is expected to have an entry. A run is expected to have all variants of its tasks.
     """
     variants = _variants(found.results)
     if found.planned is not None:
@@ -54,13 +54,13 @@ def _unplanned(results: Sequence[Result]) -> Iterator[Missing]:
 
 
 def _absent(seeds: set[int | None], present: set[int | None]) -> str:
-    """The seeds that are missing; nothing where those that are present are not all known."""
+    """Text that names the missing seeds; empty if not all seeds that are present are known."""
     missing = sorted(seed for seed in seeds - present if seed is not None)
     return f": no seed {', '.join(map(str, missing))}" if missing and None not in present else ""
 
 
 def _variants(results: Sequence[Result]) -> Iterator[Missing]:
-    """The variants that runs were not evaluated on; runs that lack the same ones together."""
+    """The variants on which runs were not evaluated; runs that lack the same ones are grouped."""
     groups: dict[tuple[str, str, str], list[Result]] = {}
     for result in results:
         for task, cells in by_variant(result.entry.scores).items():
@@ -72,7 +72,7 @@ def _variants(results: Sequence[Result]) -> Iterator[Missing]:
 
 
 def _named(runs: Sequence[Result]) -> str:
-    """Runs by their seeds, or by their folders where a seed is not known."""
+    """The names of runs: their seeds, or their folders if a seed is not known."""
     seeds = [run.seed for run in runs]
     if None in seeds:
         return ", ".join(run.folder.name for run in runs)

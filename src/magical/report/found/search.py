@@ -1,4 +1,4 @@
-"""Evaluated runs in folders, at any depth, each in a folder of its own or in a collection."""
+"""Evaluated runs in folders, at any depth, each in its own folder or in a collection."""
 
 import os
 from collections import Counter
@@ -18,32 +18,32 @@ from magical.runs import is_run, read_json
 from magical.runs.folder import CONFIG, RECORD
 from magical.runs.plan import PLAN, RESULT, RUNS, ListedRun, listed_runs
 
-TELLING = 20  # rollouts with another score than the most frequent one
+TELLING = 20  # rollouts whose score is not the most frequent one: enough to identify a run
 
 Listed = Callable[[Path], Mapping[str, ListedRun]]  # the runs of a results folder, by folder
 
 
 @dataclass(frozen=True)
 class Result:
-    """An evaluated run and where it was found."""
+    """An evaluated run, and where it was found."""
 
     folder: Path
     entry: Entry
-    run: Path | None = None  # the folder of the training run, where there is one
+    run: Path | None = None  # the folder of the training run, if there is one
 
     @cached_property
     def tasks(self) -> tuple[str, ...]:
-        """The tasks that it was evaluated on."""
+        """The tasks that the run was evaluated on."""
         return tuple(by_variant(self.entry.scores))
 
     @cached_property
     def config(self) -> dict[str, Any]:
-        """The configuration of training; empty where there is none that can be read."""
+        """The training configuration; empty if there is none or it cannot be read."""
         return {} if self.run is None else _read(self.run / CONFIG)
 
     @cached_property
     def record(self) -> dict[str, Any]:
-        """Versions, device, demonstrations and machine, as far as they were recorded."""
+        """Versions, device, demonstrations, machine etc., as far as they were recorded."""
         if self.run is None:
             return {}
         final = _read(self.run / RESULT)
@@ -52,14 +52,14 @@ class Result:
 
     @property
     def seed(self) -> int | None:
-        """The seed of training, where it is known."""
+        """The training seed; `None` if unknown."""
         seed = self.config.get("seed", self.entry.details.get("training_seed"))
         return seed if isinstance(seed, int) else None
 
 
 @dataclass(frozen=True, slots=True)
 class Skipped:
-    """A folder with files of an entry that is not used."""
+    """A folder with an entry that is not used."""
 
     folder: Path
     reason: str
@@ -67,12 +67,12 @@ class Skipped:
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """What was found below some folders."""
+    """What was found in and below some folders."""
 
     results: Sequence[Result]
     skipped: Sequence[Skipped] = ()
     not_evaluated: Sequence[Path] = ()  # run folders without an entry
-    # The runs of plans without scores, and why in words; `None` where there is no plan.
+    # The planned runs that have no scores, and why, in words; `None` if there is no plan.
     planned: Sequence[tuple[ListedRun, str]] | None = None
 
     @property
@@ -82,11 +82,11 @@ class Found:
 
 
 def same_run(result: Result, others: Iterable[Result]) -> Result | None:
-    """The first of some results that evaluates the same training run of a method, if any does.
+    """The first of the other results that evaluates the same training run of a method, if any.
 
-    Equal scores of the rollouts that both have, which differ among each other, are of one run,
-    whatever the seeds. Otherwise the seeds of training and the configurations decide, as far as
-    they are known; where a seed is not, equal scores.
+    If all rollouts that two results share have equal scores, and these scores vary enough, they
+    are of one run, whatever the seeds. Otherwise the training seeds and configurations decide, as
+    far as they are known; if a seed is unknown, equal scores do.
     """
     own = {(row.env_id, row.rollout): row for row in result.entry.scores}
     for other in others:
@@ -106,9 +106,9 @@ def same_run(result: Result, others: Iterable[Result]) -> Result | None:
 def _equal_scores(
     own: Mapping[tuple[EnvId, int], RolloutScore], others: Iterable[RolloutScore]
 ) -> list[RolloutScore]:
-    """The scores of the rollouts that both have, if they are equal; empty if any differs.
+    """The scores of the rollouts that both have, if all are equal; empty if any differs.
 
-    Those of two runs mostly differ in one of the first rollouts.
+    This is fast: scores of different runs usually differ within the first few rollouts.
     """
     equal = []
     for row in others:
@@ -120,18 +120,18 @@ def _equal_scores(
 
 
 def _is_telling(scores: Iterable[RolloutScore]) -> bool:
-    """Whether another run would hardly get the same: good policies get 1 nearly everywhere."""
+    """Whether scores vary enough to identify a run: good policies score 1 nearly everywhere."""
     counts = Counter(row.score for row in scores)
     return counts.total() - max(counts.values()) >= TELLING
 
 
 def find_results(folders: Iterable[Path | str]) -> Found:
-    """As `search_results`, with at least one entry, and each training run once in a row.
+    """As `search_results`, but with at least one entry, and each training run once per table row.
 
-    Of several evaluations of a run the one with the most scores counts.
+    Of several evaluations of a run, the one with the most scores counts.
 
     Raises:
-        ScoresError: there is no entry that can be read; says why the first one cannot.
+        ScoresError: no entry can be read; the message says why the first one cannot.
     """
     found = search_results(folders)
     if not found.results:
@@ -152,22 +152,22 @@ def find_results(folders: Iterable[Path | str]) -> Found:
 
 
 def search_results(folders: Iterable[Path | str], without: Path | None = None) -> Found:
-    """Every entry in or below the folders, by folder as given, then by path.
+    """Every entry in or below the folders, in the order of the folders, then by path.
 
-    Symbolic links and folders whose names begin with a dot are not followed, nor is the folder
-    `without`. What cannot be read is skipped, and listed. The folder of an entry in a collection
-    is the collection's with the entry's name.
+    Symbolic links, folders whose names begin with a dot and the folder `without` are not followed.
+    Entries that cannot be read, or whose run is no longer in its plan, are listed as skipped. The
+    folder of an entry in a collection is the collection's path joined with the entry's name.
     """
     results: list[Result] = []
     skipped: list[Skipped] = []
     places: list[Path] = []
     known: set[Path] = set()
-    listed = cache(_listed)  # every plan is read once, whatever the number of its runs
+    listed = cache(_listed)  # every plan is read only once
     for root in map(Path, folders):
         new = [place for place in _places(root, without) if place.resolve() not in known]
         places += new
         known.update(place.resolve() for place in new)
-        # A root without any entry is read nevertheless: the error says what was expected.
+        # A root without any entry is read anyway: the error says what was expected.
         found = [*_entries(new)] or [(place, _read_entry(place)) for place in new if place == root]
         for place, entry in found:
             if place != root and not _is_planned(place, root, listed):
@@ -209,17 +209,17 @@ def _read_entry(place: Path) -> Entry | Exception:
 
 
 def _policy_folder(result: Result) -> str:
-    """The run folder that an entry names as its policy, which may be anywhere."""
+    """The run folder that an entry states as its policy, which may be anywhere."""
     return _absolute(result.folder / str(result.entry.details.get(POLICY, "")))
 
 
 def _absolute(path: Path) -> str:
-    """A path for comparison; it need not exist, and may hold anything."""
+    """A normalised absolute path for comparisons; it need not exist, and may be any text."""
     return os.path.normpath(path.absolute())
 
 
 def _places(root: Path, without: Path | None) -> Iterator[Path]:
-    """A folder and all folders below it, parents before children, by name; itself if missing."""
+    """A folder, even if missing, and all folders below it, sorted, parents before children."""
     yield root
     hidden = None if without is None else without.resolve()
     for path, names, _ in os.walk(root):
@@ -230,7 +230,7 @@ def _places(root: Path, without: Path | None) -> Iterator[Path]:
 
 
 def _run_of(place: Path, root: Path) -> Path | None:
-    """The run folder that an entry belongs to: its own, one above it, or the only one in it."""
+    """The run folder of an entry: the entry's own, one above it, or the only one in it."""
     for folder in (place, *place.parents):
         if is_run(folder):
             return folder
@@ -241,7 +241,7 @@ def _run_of(place: Path, root: Path) -> Path | None:
 
 
 def _is_planned(place: Path, root: Path, listed: Listed) -> bool:
-    """Whether a folder is neither a plan's run nor in one, or the plan still lists that run."""
+    """Whether a folder is not in a run folder of a plan, or the plan still lists that run."""
     for folder in (place, *place.parents):
         if folder == root:
             break
@@ -255,12 +255,12 @@ def _is_planned(place: Path, root: Path, listed: Listed) -> bool:
 def _planned(
     places: Iterable[Path], evaluated: Iterable[Path | None], listed: Listed
 ) -> list[tuple[ListedRun, str]] | None:
-    """The runs without scores of all plans among the folders, and why."""
+    """The runs without scores of all plans in the folders, and why they have none."""
     plans = [place for place in places if (place / PLAN).is_file()]
     if not plans:
         return None
     done = {folder.name for folder in evaluated if folder is not None}
-    # A plan's runs may lie in several folders. The name of a run's folder has its digest.
+    # A plan's runs may be in several results folders; run folder names contain a digest.
     left = {name: (run, plan) for plan in plans for name, run in listed(plan).items()}
     return [
         (run, _state(plan / RUNS / name)) for name, (run, plan) in left.items() if name not in done
@@ -283,7 +283,7 @@ def _state(folder: Path) -> str:
 
 
 def _read(path: Path) -> dict[str, Any]:
-    """A JSON object; empty where it is missing or damaged."""
+    """A JSON object; empty if the file is missing or damaged."""
     try:
         return read_json(path)
     except RunFolderError:

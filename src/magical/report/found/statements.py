@@ -1,4 +1,4 @@
-"""What a method's entries state in their details beside its sources (docs/protocol.md)."""
+"""What entries state in their details in addition to their sources (docs/protocol.md)."""
 
 from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
@@ -12,9 +12,9 @@ class Statements(NamedTuple):
     """What the entries of one method state together.
 
     Attributes:
-        demonstrations: how many and whose; empty where no entry says.
-        looks: how often test variants were evaluated before: the most that an entry says; None
-            where none does.
+        demonstrations: how many and whose; empty if no entry says.
+        looks: how often test variants were evaluated before: the largest number that an entry
+            states; None if none does.
     """
 
     demonstrations: str = ""
@@ -22,7 +22,7 @@ class Statements(NamedTuple):
 
     @property
     def mark(self) -> str:
-        """A dagger where test variants were evaluated before, otherwise nothing."""
+        """A dagger if test variants were evaluated before, otherwise empty."""
         return "†" if self.looks else ""
 
 
@@ -41,10 +41,10 @@ def gather_statements(details: Iterable[Mapping[str, Any]]) -> Statements:
 
 
 def stated_looks(details: Mapping[str, Any]) -> int | None:
-    """How often an entry says that test variants were evaluated before; None where it does not.
+    """How often test variants were evaluated before, according to an entry; None if not stated.
 
     Raises:
-        ValueError: it says something else than a whole number, 0 or more.
+        ValueError: the entry states something other than a whole number, 0 or more.
     """
     looks = details.get(LOOKS)
     if looks is None or (type(looks) is int and looks >= 0):

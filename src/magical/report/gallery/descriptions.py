@@ -1,4 +1,4 @@
-"""Tasks and scenes in words: what the registry's docstrings and scenes say."""
+"""Tasks and scenes in words, from task docstrings and scene contents."""
 
 import inspect
 import re
@@ -23,19 +23,20 @@ class Paragraph:
 
 @dataclass(frozen=True, slots=True)
 class Description:
-    """What a task's docstring says."""
+    """A task's description from its docstring."""
 
     score_rule: Sequence[Paragraph]
-    variation: Mapping[str, str] = field(default_factory=dict)  # how axes change it, by their names
+    variation: Mapping[str, str] = field(default_factory=dict)  # what each axis changes, by name
 
 
 def describe_task(task: Task) -> Description:
     """The score rule of a task and how its variants vary the scene.
 
-    The docstring of the module whose `TASK` it is has both if it begins with the task's name and
-    is laid out like those of `magical.tasks`: the score rule before `Horizon:`, the variation in
-    the list after it. Otherwise the score rule is the first paragraph of the docstring of the
-    score function, or of the program's class where the score is the program's.
+    Both are read from the docstring of the module whose `TASK` this is, if the docstring begins
+    with the task's name and is laid out like those of `magical.tasks`: the score rule before
+    `Horizon:`, the variation in the list after it. Otherwise the score rule is the first paragraph
+    of the docstring of the score function, or of the program's class if the program defines the
+    score, and the variation is empty.
     """
     score_fn: Any = task.score_fn
     if isinstance(score_fn, partial):
@@ -55,7 +56,7 @@ def describe_task(task: Task) -> Description:
 
 
 def describe_changes(task: Task, variant: str) -> str:
-    """What a variant changes: the meaning of its axis, or the names of its axes."""
+    """What a variant changes: the description of its only axis, or the names of its axes."""
     axes = [axis for axis in CHANGES if axis in task.axes_of(variant)]
     if not axes:
         return "the scene of the demonstrations"
@@ -63,12 +64,12 @@ def describe_changes(task: Task, variant: str) -> str:
 
 
 def axis_name(axis: Axis) -> str:
-    """Such as `layout`."""
+    """The axis's name in lower case, such as `layout`."""
     return str(axis.name).lower()
 
 
 def describe_scene(scene: Scene) -> str:
-    """What is in a scene, such as `a robot, 1 blue goal region, 2 red squares`."""
+    """The contents of a scene, such as `a robot, 1 blue goal region, 2 red squares`."""
     kinds = [f"{region.colour} goal region" for region in scene.regions]
     kinds += [f"{block.colour} {block.shape}" for block in scene.blocks]
     counted = [f"{n} {kind}{'s' if n > 1 else ''}" for kind, n in Counter(kinds).items()]
@@ -80,6 +81,6 @@ def _paragraph(text: str) -> Paragraph:
 
 
 def _variation(items: str) -> dict[str, str]:
-    """A list in Markdown by what stands before each item's colon."""
+    """The items of a Markdown list, by the text before each item's colon."""
     pairs = (item.partition(": ") for item in re.split(r"^- ", items, flags=re.MULTILINE)[1:])
     return {name: _paragraph(text).text for name, _, text in pairs}

@@ -20,16 +20,16 @@ from magical.scene.constants import CONTROL_RATE
 from magical.tasks import Task, with_tasks
 
 SIZE = 288  # pixels across
-SPEED = 2  # of animations, as a multiple of the benchmark's control rate
+SPEED = 2  # of animations, a multiple of the benchmark's control rate
 EVERY = 2  # control steps between frames
-EFFORT = 50  # of lossless compression, 0 to 100
+EFFORT = 50  # lossless compression effort, 0 to 100
 _webp = partial(encoded, kind="WEBP", lossless=True, quality=EFFORT)
 STILLS, ROLLOUTS = IMAGE_FOLDERS = "scenes", "rollouts"  # folders of the site
 
 
 @dataclass(frozen=True, slots=True)
 class EnvPreview:
-    """One environment as it is shown."""
+    """What the gallery shows of one environment."""
 
     env_id: EnvId
     scene: str  # in words
@@ -39,17 +39,17 @@ class EnvPreview:
 
     @property
     def name(self) -> str:
-        """Such as `FindDupe-TestAll`: the id of its place on the page."""
+        """The environment's HTML id on the page, such as `FindDupe-TestAll`."""
         return f"{self.env_id.task}-{self.env_id.variant}"
 
     @property
     def still_path(self) -> str:
-        """The address of the scene's image on the page."""
+        """The path of the scene's image, relative to the page."""
         return f"{STILLS}/{self.name}.webp"
 
     @property
     def animation_path(self) -> str:
-        """The address of the rollout's image on the page."""
+        """The path of the rollout's animation, relative to the page."""
         return f"{ROLLOUTS}/{self.name}.webp"
 
 
@@ -59,9 +59,9 @@ def make_previews(
     """Render the scene of `reset(seed=seed)` and the expert's rollout in each environment.
 
     Args:
-        env_ids: of registered tasks; a task without a scripted expert has no rollouts.
-        seed: which scenes are sampled.
-        workers: processes; by default one for each core. The result does not depend on it.
+        env_ids: environments of registered tasks; a task without a scripted expert has no rollouts.
+        seed: the seed of the scenes and of the expert.
+        workers: processes, by default one per core. The result does not depend on it.
 
     Raises:
         InvalidTaskError: worker processes could not import a task.
@@ -92,5 +92,5 @@ def _make(seed: int, env_id: EnvId) -> EnvPreview:
 
 
 def _modules(task: Task) -> list[str]:
-    """The modules from which a new process learns of the task and of its expert."""
+    """The modules that a new process must import to have the task and its expert."""
     return modules_of(task.name) if has_expert(task.name) else defining_modules([task])

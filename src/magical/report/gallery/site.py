@@ -21,14 +21,14 @@ _MARK = b'<meta name="generator" content="magical gallery'
 
 
 def write_gallery(folder: Path, previews: Sequence[EnvPreview], seed: int = 0) -> int:
-    """Write the page, after the images that it shows; returns the size of all in bytes.
+    """Write the images and then the page; returns their total size in bytes.
 
-    A gallery that is there is replaced; images of environments that only it shows stay.
+    An existing gallery is replaced, but images of environments that it no longer shows remain.
 
     Args:
-        folder: the site's.
-        previews: of the environments to show.
-        seed: of their scenes.
+        folder: the site's folder.
+        previews: previews of the environments to show.
+        seed: the seed of their scenes, shown on the page.
 
     Raises:
         SiteError: the folder holds something other than a gallery.
@@ -45,7 +45,7 @@ def write_gallery(folder: Path, previews: Sequence[EnvPreview], seed: int = 0) -
 
 
 def gallery_page(previews: Sequence[EnvPreview], seed: int = 0) -> str:
-    """The page's source; images are in files beside it, nothing is loaded from elsewhere."""
+    """The page's HTML; images are in separate files, and nothing is loaded from other hosts."""
     tasks = group_by(previews, attrgetter("env_id.task_spec"))
     return render_template(
         "gallery.html.j2",
@@ -64,10 +64,10 @@ def gallery_page(previews: Sequence[EnvPreview], seed: int = 0) -> str:
 
 
 def check_site(folder: Path) -> None:
-    """Check that a gallery may be written to a folder: it is missing, empty or holds a gallery.
+    """Check that a folder may be written to: it is missing, empty or holds a gallery.
 
     Raises:
-        SiteError: it holds something else; the message names it.
+        SiteError: the folder holds something else, which the message names, or it is a file.
     """
     if folder.exists() and not folder.is_dir():
         raise SiteError(f"{folder}: expected a folder, found a file; choose another")
@@ -80,7 +80,7 @@ def check_site(folder: Path) -> None:
 
 
 def _is_ours(path: Path) -> bool:
-    """Whether a file or folder is one that a gallery has."""
+    """Whether a file or folder belongs to a gallery."""
     if path.name in IMAGE_FOLDERS:
         return path.is_dir() and all(file.suffix in (".webp", ".part") for file in path.iterdir())
     if path.name == INDEX:

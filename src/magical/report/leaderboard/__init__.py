@@ -1,7 +1,7 @@
 """A leaderboard of evaluated entries, as static pages.
 
-- `checks`: whether an entry is what docs/protocol.md asks for.
-- `ranking`: the methods in order.
+- `checks`: whether an entry follows docs/protocol.md.
+- `ranking`: the ranked methods.
 - `site`: the pages.
 """
 

@@ -1,4 +1,4 @@
-"""Whether entries are what the protocol asks for (docs/protocol.md)."""
+"""Checks that entries follow the protocol (docs/protocol.md)."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -29,13 +29,13 @@ class Rejected:
 
 
 def by_reasons(rejected: Iterable[Rejected]) -> list[tuple[str, list[Rejected]]]:
-    """The entries with the same reasons together, the most first."""
+    """The entries grouped by reasons, largest group first."""
     groups = group_by(rejected, lambda entry: "; ".join(entry.reasons))
     return sorted(groups.items(), key=lambda group: -len(group[1]))
 
 
 def check_entries(found: Found) -> tuple[list[Result], list[Rejected]]:
-    """The entries that can be ranked, and the others with the reasons."""
+    """The entries that can be ranked, and the others with the reasons why not."""
     rejected = [Rejected(str(item.folder), "", [item.reason]) for item in found.skipped]
     candidates = []
     for result in found.results:
@@ -53,7 +53,7 @@ def check_entries(found: Found) -> tuple[list[Result], list[Rejected]]:
 
 
 def faults(entry: Entry) -> list[str]:
-    """What an entry by itself has that the protocol does not allow; empty if nothing."""
+    """How a single entry violates the protocol; empty if it does not."""
     return [
         *_protocol_faults(entry),
         *_observation_faults(entry),
@@ -63,14 +63,14 @@ def faults(entry: Entry) -> list[str]:
 
 
 def _misobserved(result: Result) -> Iterator[str]:
-    """What an entry says that its policy was shown, unlike its run."""
+    """A contradiction between the observation that an entry states and that of its run."""
     trained, stated = result.config.get("observation"), result.entry.observation
     if trained is not None and trained != stated:
         yield f"shown {stated or 'nothing stated'}, but its run was trained on {trained}"
 
 
 def incompleteness(entry: Entry) -> Iterator[str]:
-    """Why an entry's scores are not those of a whole evaluation by this version of the package."""
+    """Why an entry is not a complete evaluation by this version of the package."""
     if entry.seed != SEED:
         yield f"set {entry.seed} of fixed seeds, expected {SEED}: evaluate without --seed"
     rollouts = max(row.rollout for row in entry.scores) + 1
@@ -88,7 +88,7 @@ def incompleteness(entry: Entry) -> Iterator[str]:
 
 
 def misstatements(entry: Entry, *readers: Callable[[Mapping[str, Any]], object]) -> Iterator[str]:
-    """What readers of an entry's details, which raise `ValueError`, find wrong with them."""
+    """The `ValueError` messages that readers of an entry's details raise."""
     for read in readers:
         try:
             read(entry.details)
@@ -104,7 +104,7 @@ def _protocol_faults(entry: Entry) -> Iterator[str]:
 
 
 def _observation_faults(entry: Entry) -> Iterator[str]:
-    """Why an entry that does not say so may nevertheless have observed true states."""
+    """Why an entry that does not say that it is privileged may have observed true states."""
     if entry.privileged or entry.observation == NO_OBSERVATION:
         return
     try:
@@ -117,9 +117,9 @@ def _observation_faults(entry: Entry) -> Iterator[str]:
 
 
 def _series(version: str) -> str:
-    """The part of a version that scores depend on: its first number.
+    """The part of a version that scores depend on: its first number, before 1.0 its first two.
 
-    Before 1.0 it is the first two; nothing that scores depend on changed between 0.1 and 1.0.
+    Version 0.1 counts as 1: nothing that scores depend on changed between 0.1 and 1.0.
     """
     first, second, *_ = [*version.split("."), ""]
     series = f"{first}.{second}" if first == "0" else first
@@ -127,7 +127,7 @@ def _series(version: str) -> str:
 
 
 def _conflicts(result: Result, accepted: Sequence[Result]) -> Iterator[str]:
-    """Why a run cannot be one of its method's, given those before it."""
+    """Why a result cannot be a run of its method, given those accepted before."""
     entry = result.entry
     if other := same_run(result, accepted):
         yield (
@@ -135,14 +135,14 @@ def _conflicts(result: Result, accepted: Sequence[Result]) -> Iterator[str]:
             "state that, by its scores: each run counts once"
         )
         return
-    # Those that were accepted are alike.
+    # All accepted runs of a method agree, so the first one is enough.
     first = next((run for run in accepted if run.entry.method == entry.method), None)
     if first and (found := mismatch(entry, first)):
         yield found
 
 
 def mismatch(entry: Entry, other: Result) -> str:
-    """What an entry was shown or learned from, unlike a run of its method; empty for nothing."""
+    """How an entry's observation or sources differ from a run of its method; empty if equal."""
     for what, value, expected in (
         ("shown", entry.observation, other.entry.observation),
         ("privileged", entry.privileged, other.entry.privileged),

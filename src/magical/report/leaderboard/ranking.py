@@ -1,4 +1,4 @@
-"""Methods in order: by TestAll, and by the generalisation gap."""
+"""Ranks of methods: by TestAll, and by the generalisation gap."""
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
@@ -23,10 +23,10 @@ from magical.tasks.axes import DEMO, TEST_ALL
 from magical.tasks.programs.suite import HELD_OUT, TRAINING, task_name
 
 ALL_TASKS, HELD_OUT_TASKS = "All tasks", "Held-out tasks"
-WITH_PRIOR = ", with a benchmark prior"  # after the name of a board
-DEMOS = 10  # of a held-out task, without pre-training
-FINE_TUNED = (1, 5, 10)  # demonstrations of a held-out task after pre-training
-STATE = "state"  # what a privileged policy is shown, among what an entry used
+WITH_PRIOR = ", with a benchmark prior"  # suffix of a board's name
+DEMOS = 10  # demonstrations of a held-out task, without pre-training
+FINE_TUNED = (1, 5, 10)  # demonstrations of a held-out task, after pre-training
+STATE = "state"  # listed with an entry's sources if its policy is privileged
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,28 +37,28 @@ class Standing:
     unit: str  # what the intervals are over
     test_all: Interval  # mean score
     demo: Interval
-    gap: Interval  # Demo's mean less TestAll's
-    used: tuple[str, ...]  # to learn from, and `state` for a privileged policy
+    gap: Interval  # Demo's mean minus TestAll's
+    used: tuple[str, ...]  # what it learned from, and `state` for a privileged policy
     statements: Statements
     rank: int = 0  # by TestAll, 1 for the highest; the same for equal scores
     gap_rank: int = 0  # by the gap, 1 for the lowest
 
     @property
     def learning_class(self) -> str:
-        """`P`, `R`, `X`, `B` or nothing: `magical.runs.sources.learning_class`."""
+        """`P`, `R`, `X`, `B` or empty: see `magical.runs.sources.learning_class`."""
         return learning_class(self.used)
 
     @property
     def is_reference(self) -> bool:
-        """Whether it learned nothing and sees the true state, as the scripted experts."""
+        """Whether it learned nothing and sees the true state, like the scripted experts."""
         return self.used == (STATE,)
 
 
 @dataclass(frozen=True, slots=True)
 class Board:
-    """The standings on a task, on all of the paper's, or on the held-out generated ones.
+    """The standings on one task, on all of the paper's tasks, or on the held-out generated tasks.
 
-    Those of methods with a prior made for the benchmark are on a board of their own.
+    Methods with a prior made for the benchmark have separate boards.
     """
 
     name: str
@@ -66,10 +66,11 @@ class Board:
 
 
 def make_boards(results: Sequence[Result]) -> list[Board]:
-    """A board of the methods that have all tasks, and of those that have all held-out tasks.
+    """The boards of all tasks, of the held-out tasks, and of each task in `TASKS`.
 
-    Those that were pre-trained on training tasks have a board for each number of demonstrations.
-    Then one for each task that any has, but for generated tasks. All but the first have standings.
+    A board ranks the methods that have all of its tasks. On the held-out tasks, methods that were
+    pre-trained on training tasks have a board for each number of demonstrations. Each board is
+    followed by one for methods with a benchmark prior. Empty boards are left out, except the first.
     """
 
     def boards(name: str, tasks: Collection[str], track: str | None = None) -> list[Board]:
@@ -96,15 +97,16 @@ def make_boards(results: Sequence[Result]) -> list[Board]:
 
 
 def pretrained_board(num_demos: int) -> str:
-    """The name of the board of methods that were pre-trained on training tasks."""
+    """The name of the board for methods that were pre-trained on training tasks."""
     return f"{HELD_OUT_TASKS}, pre-trained, k = {num_demos}"
 
 
 def held_out_board(runs: Sequence[Result]) -> str:
     """The name of the board of held-out tasks that a method belongs to; empty for none.
 
-    A method was pre-trained if any of its runs was, and all must be alike; without pre-training
-    it has `DEMOS` demonstrations, where it says how many, and no extra data.
+    If any of a method's runs was pre-trained, all must be, on training tasks alone and with the
+    same number of demonstrations, one of `FINE_TUNED`. Otherwise all runs must have `DEMOS`
+    demonstrations, if they state a number, and no extra data.
     """
     details = [run.entry.details for run in runs]
     stated_numbers = [stated.get(NUM_DEMOS) for stated in details]
@@ -127,7 +129,7 @@ def _method(runs: Sequence[Result]) -> ComparedMethod:
 
 
 def _on_tasks(method: ComparedMethod, tasks: Collection[str]) -> ComparedMethod | None:
-    """The method on these tasks; `None` if it lacks any."""
+    """The method on these tasks; `None` if it lacks any of them."""
     env_ids = [env_id for env_id in method.env_ids if env_id.task in tasks]
     return method.on(env_ids) if {env_id.task for env_id in env_ids} >= set(tasks) else None
 
@@ -155,9 +157,9 @@ def _standing(method: ComparedMethod, runs: Sequence[Result]) -> Standing:
 
 
 def _ranked(standings: Sequence[Standing]) -> list[Standing]:
-    """The standings with their ranks, by TestAll, then by the gap, then by name.
+    """The standings with their ranks, sorted by TestAll, then by the gap, then by name.
 
-    References have the rank that they would have, and take none from others.
+    References get the rank that they would have, but do not affect the ranks of others.
     """
     others = [row for row in standings if not row.is_reference]
     ranked = [

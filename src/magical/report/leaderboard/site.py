@@ -21,26 +21,26 @@ from magical.runs.sources import CLASSES, SOURCES
 
 INDEX = "index.html"
 METHODS, ENTRIES = "methods", "entries"  # folders of the site
-NUMBER = "[0-9][0-9][0-9]"  # before a method's name in a file's name
+NUMBER = "[0-9][0-9][0-9]"  # precedes a method's name in file names
 MARK = b"<h1>MAGICAL leaderboard</h1>"  # in the index page
 
 
 @dataclass(frozen=True, slots=True)
 class Leaderboard:
-    """The methods in order, and the entries that are not ranked."""
+    """The ranked methods, and the entries that are not ranked."""
 
     boards: Sequence[Board]
     accepted: Sequence[Result]
     rejected: Sequence[Rejected]
-    rerun: frozenset[str] = frozenset()  # methods whose scores were run again
+    rerun: frozenset[str] = frozenset()  # methods whose rollouts were run again
 
     def write(self, site: Path) -> None:
-        """Write the pages, and copies of the entries that they link to, so that they stay together.
+        """Write the pages, and copies of the entries that they link to, so that links stay valid.
 
         Pages and copies of an earlier leaderboard in the folder are removed.
 
         Raises:
-            SiteError: the folder has such pages or folders that are no leaderboard's.
+            SiteError: the index page, `methods` or `entries` exists but is not a leaderboard's.
             OSError: the folder cannot be written to.
         """
         index = site / INDEX
@@ -79,9 +79,9 @@ def make_leaderboard(
     """Check and rank all entries in or below the folders, except the copies in a site.
 
     Args:
-        folders: with entries, at any depth.
-        site: where the pages will be written.
-        rerun: methods whose scores were run again, and are marked so.
+        folders: folders with entries, at any depth.
+        site: the folder that the pages will be written to.
+        rerun: methods whose rollouts were run again, which are marked.
 
     Raises:
         ScoresError: a folder is missing.
@@ -99,7 +99,7 @@ def make_leaderboard(
 
 
 def _write_method(site: Path, method: str, results: Sequence[Result], name: str) -> set[str]:
-    """Write the report of one method's runs and copies of their files, whose folders are named."""
+    """Write one method's report and copies of its entries; returns the copies' folder names."""
     copied = []
     for number, result in enumerate(results, 1):
         folder = site / ENTRIES / f"{name}-{number}"
@@ -113,7 +113,7 @@ def _write_method(site: Path, method: str, results: Sequence[Result], name: str)
 
 
 def _remove_others(site: Path, pages: set[str], copies: set[str]) -> None:
-    """Remove methods' pages and copies of entries that are none of these, by name."""
+    """Remove all other methods' pages and copies of entries, by name."""
     for page in (site / METHODS).glob(f"{NUMBER}-*.html"):
         if page.name not in pages:
             page.unlink()

@@ -1,4 +1,4 @@
-"""Two methods compared: a page of its own."""
+"""A page that compares two methods."""
 
 import math
 from collections.abc import Sequence
@@ -29,16 +29,16 @@ from magical.tasks.axes import short_variant
 
 @dataclass(frozen=True, slots=True)
 class ComparisonPage:
-    """What is known about the difference between two methods."""
+    """The content of a page about the difference between two methods."""
 
     headline: str
     tables: Sequence[TextTable]
-    overall: dict[str, Interval]  # differences of means, by task and all together
+    overall: dict[str, Interval]  # differences of means: all together, by task and by variant
     methods: Sequence[ComparedMethod]
     described: Sequence[MethodFacts]
 
     def write(self, path: Path | str) -> None:
-        """Write the page, with everything inline; raises `OSError` where that is not possible."""
+        """Write the page, with everything inline; raises `OSError` if it cannot be written."""
         label = f"mean score of {self.methods[0].name} minus that of {self.methods[1].name}"
         figures = [
             Figure(
@@ -55,9 +55,9 @@ class ComparisonPage:
 
 
 def compare(results: Sequence[Result], first: str, second: str) -> ComparisonPage:
-    """Compare two methods on the environments that both have; scores by the appendix's rule.
+    """Compare two methods on the environments that both have, with the appendix's scoring rule.
 
-    Raises `UnknownNameError` where there is no such method, or no environment in common.
+    Raises `UnknownNameError` if a method is unknown or they have no environment in common.
     """
     chosen = [_of_method(results, name) for name in (first, second)]
     methods = compared_methods(result.entry for runs in chosen for result in runs)
@@ -150,7 +150,7 @@ def _differences(first: ComparedMethod, second: ComparedMethod) -> dict[str, Int
 
 
 def _settings(described: Sequence[MethodFacts]) -> TextTable | None:
-    """Settings that all runs of a method share and the two methods do not."""
+    """Settings that the runs of each method share but in which the two methods differ."""
     a, b = (method.common for method in described)
     names = [name for name in {**a, **b} if a.get(name) != b.get(name)]
     rows = [(name, a.get(name, "–"), b.get(name, "–")) for name in names]

@@ -1,4 +1,4 @@
-"""A page from folders of evaluated runs: tables, learning curves, rollouts."""
+"""A page about evaluated runs: tables, learning curves, rollouts."""
 
 import platform
 from collections.abc import Mapping, Sequence
@@ -37,20 +37,20 @@ def write_page(
     load_policy: LoadPolicy | None = None,
     clips: int = 0,
 ) -> Sequence[str]:
-    """Write all that evaluated runs and their training runs tell, and what is missing.
+    """Write a page with all results of evaluated runs and their training, and what is missing.
 
-    Everything is in the one file, with links to the runs' files; empty parts are left out.
+    Everything is in this one file, with links to the runs' files; empty sections are left out.
 
     Args:
-        path: the page's.
-        title: of the page.
-        found: what `find_results` has found.
+        path: the page to write.
+        title: the page's title.
+        found: the result of `find_results`.
         published: rows of the published tables to show.
-        load_policy: gives a run's policy; needed for
-        clips: of how many runs the best, median and worst rollouts are recorded.
+        load_policy: loads a run's policy; needed if `clips` is not 0.
+        clips: the number of runs whose best, median and worst rollouts are recorded.
 
     Returns:
-        Why there are no rollouts, if some were wanted and none could be recorded.
+        Why there are no rollouts, if some were requested and none could be recorded.
 
     Raises:
         OSError: the page cannot be written.
@@ -97,7 +97,7 @@ def _html(
 
 
 def _rollouts(entries: Sequence[Entry]) -> str:
-    """The number of rollouts on each variant, or the fewest and the most."""
+    """The number of rollouts per variant, or the range if entries differ."""
     counts = {max(row.rollout for row in entry.scores) + 1 for entry in entries}
     return " to ".join(map(str, sorted({min(counts), max(counts)})))
 
@@ -150,7 +150,7 @@ def _skipped(rows: Sequence[tuple[str, str]]) -> TextTable | None:
 
 
 def _facts(results: Sequence[Result]) -> dict[str, str]:
-    """What the scores may depend on beside the settings, over all runs; and who made the page."""
+    """What scores may depend on other than settings, over all runs, and how the page was made."""
     places = [(result.record, result.entry.details) for result in results]
     found: dict[str, list[object]] = {
         "evaluated by magical": [result.entry.version for result in results],
@@ -167,7 +167,7 @@ def _facts(results: Sequence[Result]) -> dict[str, str]:
 
 
 def _listed(values: object) -> str:
-    """The contents of a mapping in one line; nothing for anything else."""
+    """The contents of a mapping on one line; empty for anything else."""
     if not isinstance(values, Mapping):
         return ""
     return ", ".join(f"{name} {value}" for name, value in values.items())

@@ -25,12 +25,12 @@ from magical.report.scores.summaries import aggregate_table, gap_table, improvem
 from magical.report.scores.tables import TextTable, entry_tasks, report_tables
 from magical.tasks import get_task
 
-DIGITS = 6
+DIGITS = 6  # significant, in CSV
 Write = Callable[[Found, Sequence[str], Path], None]
 
 
 def all_tables(found: Found, published: Sequence[str]) -> list[TextTable]:
-    """Every table of a page, as plain text."""
+    """All tables of a page, as plain text."""
     entries = found.entries
     tables = [table.as_text() for table in report_tables(entries, published)]
     if methods := compared_methods(entries):
@@ -42,7 +42,7 @@ def all_tables(found: Found, published: Sequence[str]) -> list[TextTable]:
 
 
 def write_csv(found: Found, published: Sequence[str], path: Path) -> None:
-    """The lines of `plain_rows`, numbers in full; empty where there is none."""
+    """Write the rows of `plain_rows` as CSV, numbers to `DIGITS` digits; empty for `None`."""
     text = io.StringIO()
     rows = plain_rows(found, published)
     writer = csv.DictWriter(text, rows[0], lineterminator="\n")
@@ -52,21 +52,21 @@ def write_csv(found: Found, published: Sequence[str], path: Path) -> None:
 
 
 def plain_rows(found: Found, published: Sequence[str]) -> list[dict[str, Any]]:
-    """A line for each method and environment, as plain data; `None` where there is none.
+    """A row for each method and environment, as plain data; `None` for missing values.
 
-    `score` and its interval are by the appendix's rule, `published_code_score` and the difference
-    by the published code's.
+    `score` and its interval follow the appendix's rule, `published_code_score` and the difference
+    follow the published code's.
     """
     return [row for task in entry_tasks(found.entries) for row in _rows(task, found, published)]
 
 
 def write_markdown(found: Found, published: Sequence[str], path: Path) -> None:
-    """All tables in Markdown."""
+    """Write all tables in Markdown."""
     write_text(path, "\n".join(map(markdown, all_tables(found, published))))
 
 
 def write_latex(found: Found, published: Sequence[str], path: Path) -> None:
-    r"""All tables in LaTeX, to be `\input` into a document that uses booktabs and graphicx."""
+    r"""Write all tables in LaTeX, for `\input` into a document with booktabs and graphicx."""
     head = "% Needs \\usepackage{booktabs,graphicx}.\n"
     write_text(path, head + "\n".join(map(latex, all_tables(found, published))))
 
@@ -78,7 +78,7 @@ _SUFFIXES = {".html": "html", ".csv": "csv", ".md": "markdown", ".tex": "latex"}
 
 
 def format_of(path: Path) -> str:
-    """The format that a file's suffix stands for, HTML without one; raises `UnknownNameError`."""
+    """The format for a file's suffix, HTML if it has none; raises `UnknownNameError`."""
     kind = _SUFFIXES.get(path.suffix.lower() or ".html")
     if kind is None:
         raise UnknownNameError(f"{path}: expected the suffix {', '.join(_SUFFIXES)}, or --format")
@@ -93,7 +93,7 @@ def markdown(table: TextTable) -> str:
 
 
 def latex(table: TextTable) -> str:
-    """A table in LaTeX with booktabs' rules, its heading and note as the caption."""
+    """A LaTeX table with booktabs rules; its heading and note become the caption."""
     rows = [" & ".join(map(escape_latex, row)) + r" \\" for row in (table.header, *table.rows)]
     caption = f"{escape_latex(table.title)}. {escape_latex(table.note)}"
     return "\n".join(
@@ -126,13 +126,13 @@ _LATEX = {
     "–": "--",
     "<": "$<$",
     ">": "$>$",
-    "[": "{[}",  # after a line's end a bracket would be its optional argument
+    "[": "{[}",  # after a line break, a bracket would start its optional argument
     "]": "{]}",
 }
 
 
 def escape_latex(text: str) -> str:
-    """Text as it is to be shown; what LaTeX's default fonts may lack becomes a question mark."""
+    """Escape text; characters that LaTeX's default fonts may lack become question marks."""
     escaped = (_LATEX.get(c, c if c.isascii() and c.isprintable() else "?") for c in text)
     return "".join(escaped)
 
@@ -142,7 +142,7 @@ def _escape_markdown(text: str) -> str:
 
 
 def _rows(task: str, found: Found, published: Sequence[str]) -> Iterator[dict[str, Any]]:
-    """A line for each method and variant, by the names of the columns."""
+    """A row for each method and variant of a task, by column name."""
     with_task = (entry for entry in found.entries if task in by_variant(entry.scores))
     rows = counterparts(found.entries, published if task in published_tasks() else ())
     for method, runs in group_by(with_task, attrgetter("row")).items():

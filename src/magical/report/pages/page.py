@@ -1,4 +1,4 @@
-"""What the pages have in common: figures, templates, writing."""
+"""Code shared by the pages: figures, templates, writing files."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,15 +9,15 @@ from magical.files import write_atomically
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """A plot with what it says."""
+    """A plot with a caption."""
 
     svg: str
     caption: str
 
 
 def render_template(name: str, **values: Any) -> str:
-    """One of the templates of this package with values, which are escaped."""
-    import jinja2  # from the report extra
+    """Render one of this package's templates; values are escaped."""
+    import jinja2  # from the `report` extra
 
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("magical.report"),
@@ -30,9 +30,9 @@ def render_template(name: str, **values: Any) -> str:
 
 
 def write_text(path: Path | str, text: str) -> None:
-    """Write a text file atomically, in UTF-8; raises `OSError` where that is not possible.
+    """Write a text file atomically, in UTF-8; raises `OSError` if it cannot be written.
 
-    What UTF-8 cannot encode, such as bytes of a file's name that are no text, is escaped.
+    Characters that UTF-8 cannot encode, such as undecodable bytes in file names, are escaped.
     """
     with write_atomically(path) as file:
         file.write(text.encode(errors="backslashreplace"))

@@ -1,4 +1,4 @@
-"""Our scores beside the published ones: by the published code's rule, horizon and scene only."""
+"""Our scores compared with the published ones: only with the same rule, horizon and scene."""
 
 from collections.abc import Iterable, Mapping, Sequence
 
@@ -18,15 +18,16 @@ RULE = "published_code_score"
 
 
 def matching_methods(entries: Iterable[Entry]) -> tuple[str, ...]:
-    """The methods of the published tables whose names some entries have."""
+    """The methods of the published tables that have the name of an entry's method."""
     names = {entry.method for entry in entries}
     return tuple(method for method in published_methods() if method in names)
 
 
 def counterparts(entries: Iterable[Entry], published: Sequence[str]) -> dict[str, str]:
-    """The published row to hold each method against, by the method's name: that of the same name.
+    """The published row that each method is compared with: the one of the same name.
 
-    Where no method has the name of a published row, and there is one such row, all have that one.
+    If no method has the name of a published row, and there is only one such row, all methods are
+    compared with that one.
     """
     names = list(dict.fromkeys(entry.method for entry in entries))
     same = {name: name for name in names if name in published}
@@ -36,7 +37,7 @@ def counterparts(entries: Iterable[Entry], published: Sequence[str]) -> dict[str
 
 
 def horizon_of(task: Task, run: Entry) -> int:
-    """The number of control steps that a run was evaluated with on a task."""
+    """The horizon, in control steps, that a run was evaluated with on a task."""
     return task.resolve_horizon(parse_horizon(run.horizon))
 
 
@@ -46,9 +47,9 @@ def is_comparable(task: Task, run: Entry) -> bool:
 
 
 def differences(task: Task, runs: Sequence[Entry], method: str) -> Mapping[str, Interval]:
-    """Our mean less the published one by short variant name, where they can be compared.
+    """Our mean minus the published one, by short variant name, where they can be compared.
 
-    Demo of nudged runs cannot: the published Demo scores are of the exact scene
+    Demo scores of nudged runs cannot: the published ones are for the exact scene
     (docs/determinism.md).
     """
     if not all(is_comparable(task, run) for run in runs):

@@ -1,4 +1,4 @@
-"""The methods among some entries, on the environments that they have in common."""
+"""The entries' methods, on the environments that they have in common."""
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -25,7 +25,7 @@ from magical.grouping import group_by
 
 @dataclass(frozen=True, slots=True)
 class ComparedMethod:
-    """One method's runs on the environments that are compared."""
+    """One method's runs on the compared environments."""
 
     name: str
     runs: Sequence[Entry]
@@ -46,16 +46,17 @@ class ComparedMethod:
         return f"{fewest} runs" if fewest == most else f"{fewest} to {most} runs"
 
     def mean(self) -> Interval:
-        """Over runs, or over rollouts where every environment has one run.
+        """The mean, with an interval over runs, or over rollouts if every environment has one run.
 
-        Without bounds where a run is the only one of its environments, and others have several.
+        If environments have several runs, the interval has no bounds when a run is the only one
+        with its set of environments.
         """
         if self.several:
             return mean(self.means)
         return self._over_rollouts(np.full(len(self.env_ids), 1 / len(self.env_ids)))
 
     def generalisation_gap(self, variant: str = "TestAll") -> Interval | None:
-        """As `mean`; `None` where no task has both Demo and the variant."""
+        """The generalisation gap, as `mean`; `None` if no task has both Demo and the variant."""
         try:
             weights = gap_weights(self.env_ids, variant)
         except ValueError:
@@ -65,7 +66,7 @@ class ComparedMethod:
         return self._over_rollouts(weights)
 
     def difference(self, other: "ComparedMethod") -> Interval:
-        """This method's mean less another's, with an interval over runs where both have several."""
+        """This method's mean minus another's, with an interval over runs if both have several."""
         if self.several and other.several:
             return difference(self.means, other.means)
         return weighted_sum([self.mean(), other.mean()], [1.0, -1.0])
@@ -76,7 +77,7 @@ class ComparedMethod:
 
     @property
     def _counts(self) -> NDArray[np.int64]:
-        """The runs of each environment, (environments,)."""
+        """The number of runs in each environment, (environments,)."""
         counts: NDArray[np.int64] = (~np.isnan(self.means)).sum(axis=0)
         return counts
 
@@ -85,10 +86,10 @@ class ComparedMethod:
 
 
 def compared_methods(entries: Iterable[Entry]) -> list[ComparedMethod]:
-    """Every method on the environments that all have; empty where there is none.
+    """Every method on the environments that all of them have; empty if there are none.
 
-    Entries with the same row are runs of a method, each on all of its tasks or on some. A method
-    has an environment if all its runs on that task do.
+    Entries with the same `row` are runs of one method, each on all of its tasks or on some. A
+    method has an environment if all its runs on that task do.
     """
     groups = group_by(entries, attrgetter("row"))
     found = [_environments(runs) for runs in groups.values()]
@@ -102,7 +103,7 @@ def _method(name: str, group: Sequence[Entry], env_ids: Sequence[EnvId]) -> Comp
 
 
 def _environments(runs: Sequence[Entry]) -> list[EnvId]:
-    """The environments that all of a method's runs on their task have, in the order they come."""
+    """The environments that all of a method's runs on their task have, in order of appearance."""
     found = [list(by_environment(run.scores)) for run in runs]
     counts = Counter(env_id for env_ids in found for env_id in env_ids)
     tasks = Counter(task for env_ids in found for task in {env_id.task for env_id in env_ids})

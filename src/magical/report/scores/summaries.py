@@ -1,6 +1,6 @@
-"""Tables of plain text: methods over all environments, along each axis, and pair by pair.
+"""Plain-text tables: methods over all environments, along each axis, and pair by pair.
 
-Intervals as in Agarwal et al. (2021).
+Statistics follow Agarwal et al. (2021); intervals are those of `magical.evaluation.statistics`.
 """
 
 import math
@@ -23,7 +23,7 @@ from magical.tasks.axes import short_variant
 
 THRESHOLDS = np.linspace(0.0, 1.0, 50, endpoint=False)  # no score exceeds 1
 AXES = tuple(variant for variant in VARIANTS if variant != "Demo")
-SHOWN = 6  # names in a note
+SHOWN = 6  # environments named in a note
 NOTE = (
     "95% intervals over training runs; those over the rollouts of a single run do not include the "
     "spread between training runs. Interquartile mean and optimality gap have none for a single "
@@ -32,7 +32,7 @@ NOTE = (
 
 
 def interval_text(interval: Interval | None) -> str:
-    """An interval as text; without brackets where there is only the estimate."""
+    """An interval as text; without brackets if there is only the estimate."""
     if interval is None:
         return "–"
     if math.isnan(interval.low):
@@ -41,11 +41,11 @@ def interval_text(interval: Interval | None) -> str:
 
 
 def aggregate_table(methods: Sequence[ComparedMethod], entries: Sequence[Entry]) -> TextTable:
-    """A row for each method over all environments that the methods have in common.
+    """A row for each method, over all environments that the methods have in common.
 
     Args:
-        methods: of the entries, at least one. Those after the first are compared with it.
-        entries: all; what is left out of the comparison is named.
+        methods: the entries' methods, at least one. The others are compared with the first.
+        entries: all entries; environments left out of the comparison are named in the note.
     """
     first = methods[0]
     header = ["method", "intervals over", "mean", "interquartile mean", "optimality gap"]
@@ -69,7 +69,7 @@ def aggregate_table(methods: Sequence[ComparedMethod], entries: Sequence[Entry])
 
 
 def _left_out(method: ComparedMethod, entries: Sequence[Entry]) -> str:
-    """A sentence on the environments that some entries have and that are not compared."""
+    """A sentence that names the environments of the entries that are not compared."""
     env_ids = dict.fromkeys(row.env_id for entry in entries for row in entry.scores)
     names = [f"{i.task} {short_variant(i.variant)}" for i in env_ids if i not in method.env_ids]
     if not names:
@@ -79,7 +79,7 @@ def _left_out(method: ComparedMethod, entries: Sequence[Entry]) -> str:
 
 
 def gap_table(methods: Sequence[ComparedMethod]) -> TextTable | None:
-    """Each method's generalisation gap along each axis; `None` where there is none."""
+    """Each method's generalisation gap along each axis; `None` if there are no gaps."""
     axes = [axis for axis in AXES if methods[0].generalisation_gap(axis) is not None]
     if not axes:
         return None
@@ -96,7 +96,7 @@ def gap_table(methods: Sequence[ComparedMethod]) -> TextTable | None:
 
 
 def improvement_table(methods: Sequence[ComparedMethod]) -> ScoreTable | None:
-    """How probably a run of the row's method beats one of the column's; `None` for one method."""
+    """The probability that the row's method beats the column's; `None` for a single method."""
     if len(methods) < 2:
         return None
     names = tuple(method.name for method in methods)

@@ -17,12 +17,12 @@ from magical.tasks import Task, get_task
 from magical.tasks.axes import SHORT_VARIANTS, short_variant
 
 LIGHTEST, DARKEST = (255, 255, 255), (33, 102, 172)  # RGB of a score of 0 and of 1
-INK_CHANGES = 0.8  # scores above are written in white; there both inks have a contrast of about 4
+INK_CHANGES = 0.8  # higher scores are in white ink; here both inks have a contrast of about 4
 ONE_RUN = (
     " In brackets: 95% intervals over the rollouts of one run, which do not include the spread "
     "between training runs."
 )
-APART, FEW = 0.5, 5  # means of so few runs that lie so far apart are listed one by one
+APART, FEW = 0.5, 5  # at most FEW runs whose means are more than APART apart are listed singly
 RUNS_APART = (
     " Listed in brackets: the means of runs of which some succeed and some fail. Intervals over "
     "runs are too narrow then: if one run in five fails, a 95% interval covers the truth in 48% of "
@@ -32,29 +32,29 @@ RUNS_APART = (
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """A mean score, and how sure it is."""
+    """A mean score with its uncertainty."""
 
     mean: float
     detail: str
     difference: Interval | None = None  # from the published mean
-    are_apart: bool = False  # few runs, of which some fail; `detail` lists them
+    are_apart: bool = False  # few runs, some of which fail; `detail` lists them
 
     @property
     def colours(self) -> tuple[str, str]:
-        """Background and ink as CSS: the worse, the lighter (appendix, Table 5)."""
+        """Background and ink as CSS colours; lower scores are lighter (appendix, Table 5)."""
         share = min(max(self.mean, 0.0), 1.0)
         mixed = [round(a + (b - a) * share) for a, b in zip(LIGHTEST, DARKEST, strict=True)]
         return "rgb({},{},{})".format(*mixed), "#fff" if share > INK_CHANGES else "#222"
 
     @property
     def text(self) -> str:
-        """Such as `0.88 ± 0.10 (−0.01)`, with the difference from the published mean."""
+        """Text such as `0.88 ± 0.10 (−0.01)`, with the difference from the published mean."""
         difference = f" ({self.beside[0]})" if self.beside else ""
         return f"{self.mean:.2f} {self.detail}{difference}"
 
     @property
     def beside(self) -> list[str]:
-        """The difference from the published mean and its interval, if any, or nothing."""
+        """The difference from the published mean, then its interval, as far as there are any."""
         return [] if self.difference is None else signed(self.difference).split(" ", 1)
 
 
@@ -64,12 +64,12 @@ class Row:
 
     label: str
     cells: Mapping[str, Cell]
-    note: str  # how the details are to be read
+    note: str  # how to read the details
 
 
 @dataclass(frozen=True, slots=True)
 class TextTable:
-    """A table of plain text with a heading, and how it is to be read."""
+    """A plain-text table with a heading and a note on how to read it."""
 
     title: str
     header: tuple[str, ...]
@@ -84,11 +84,11 @@ class ScoreTable:
     task: str
     variants: tuple[str, ...]  # short names
     rows: tuple[Row, ...]
-    note: str  # by which rule and horizon, and what intervals are over
-    published: bool = False  # by the published code's rule, with published rows
+    note: str  # scoring rule, horizon, and what intervals are over
+    published: bool = False  # scored by the published code's rule, with published rows
 
     def as_text(self) -> TextTable:
-        """The table as plain text, without colours and the rows' notes."""
+        """The table as plain text, without colours and row notes."""
         title = f"{self.task}, beside the published scores" if self.published else self.task
         rows = [
             (row.label, *(row.cells[v].text if v in row.cells else "–" for v in self.variants))
@@ -98,12 +98,12 @@ class ScoreTable:
 
 
 def task_table(task: str, entries: Iterable[Entry], published: Iterable[str] = ()) -> ScoreTable:
-    """A row for each method among the entries, then the published rows of the methods named.
+    """A row for each method among the entries, then the published rows of the named methods.
 
-    Entries with the same method are runs of it. With published rows, all scores are by the
-    published code's rule; where an entry's horizon is another than the published code's, the
-    published rows are left out, and the note says so. Methods and published tables without the
-    task are left out.
+    Entries with the same `row` are runs of one method. With published rows, all scores follow the
+    published code's rule. If an entry's horizon differs from the published code's, the published
+    rows are left out, and the note says so. Methods and published tables without the task are left
+    out.
     """
     found, entries = get_task(task), list(entries)
     with_task = [entry for entry in entries if task in by_variant(entry.scores)]
@@ -129,14 +129,14 @@ def task_table(task: str, entries: Iterable[Entry], published: Iterable[str] = (
 
 
 def entry_tasks(entries: Iterable[Entry]) -> tuple[str, ...]:
-    """The tasks that any of the entries has scores on, in the order in which they come."""
+    """The tasks on which any entry has scores, in order of first appearance."""
     return tuple(dict.fromkeys(task for entry in entries for task in by_variant(entry.scores)))
 
 
 def report_tables(entries: Sequence[Entry], published: Sequence[str] = ()) -> list[ScoreTable]:
-    """The tables of every task: by the appendix's rule, and with published rows by theirs.
+    """The tables of every task: by the appendix's rule, and by the published one if comparable.
 
-    Where the two rules and horizons are the same, one table shows both.
+    If the two rules and horizons are the same, one table shows both.
     """
     tables = []
     for name in entry_tasks(entries):
@@ -161,7 +161,7 @@ def _method_row(task: Task, method: str, runs: Sequence[Entry], rule: str) -> Ro
 
 
 def _beside(row: Row, task: Task, runs: Sequence[Entry], theirs: Mapping[str, str]) -> Row:
-    """A row of ours with its differences from the published row that it is held against."""
+    """A row of ours with its differences from its published counterpart."""
     method = theirs.get(runs[0].method)
     found = differences(task, runs, method) if method else {}
     if not found:
@@ -174,7 +174,7 @@ def _beside(row: Row, task: Task, runs: Sequence[Entry], theirs: Mapping[str, st
 
 
 def signed(interval: Interval) -> str:
-    """A difference with its interval, as text: `+0.02 [-0.10, +0.14]`."""
+    """A difference with its interval, as text: `+0.02 [−0.10, +0.14]`."""
     if math.isnan(interval.low):
         return f"{interval.value:+.2f}".replace("-", "−")
     low, high = interval.low, interval.high
@@ -182,7 +182,7 @@ def signed(interval: Interval) -> str:
 
 
 def _cell(runs: Sequence[Sequence[float]], expected: int) -> Cell:
-    """From the scores of each run's rollouts; says so where fewer runs than expected have some."""
+    """A cell from the scores of each run's rollouts; says if fewer runs than expected have any."""
     few = "" if len(runs) == expected else f" ({len(runs)} of {expected} runs)"
     if len(runs) > 1:
         means = [float(np.mean(run)) for run in runs]
@@ -211,7 +211,7 @@ def _published_row(task: str, method: str) -> Row:
 
 
 def _horizon_note(task: Task, runs: Mapping[str, Sequence[Entry]]) -> str:
-    """Which rows have another horizon than the appendix's."""
+    """The rows whose horizon differs from the appendix's."""
     found = {row: sorted({horizon_of(task, run) for run in group}) for row, group in runs.items()}
     other = [
         f"{row} ({' and '.join(map(str, steps))})"
@@ -230,7 +230,7 @@ def _other_horizons(task: Task, entries: Sequence[Entry]) -> list[str]:
 
 
 def _left_out_note(task: Task, other: Sequence[str]) -> str:
-    """Why published rows are left out: which horizons are not theirs."""
+    """Why published rows are left out: the horizons that differ from theirs."""
     steps = task.resolve_horizon("published")
     asked = "published" if task.has_two_horizons else steps
     return (

@@ -1,11 +1,11 @@
-"""The language of goals: what a task asks for, as typed expressions over what a scene has.
+"""The language of goals: what a task asks for, as typed expressions over a scene's contents.
 
-Selections say which blocks of the initial scene are meant, places where they are to be, goals how a
-final state is scored. A program is one goal, for instance
+Selections say which blocks of the initial scene are meant, places where they should end up, and
+goals how a final state is scored. A program is a single goal, for example
 
     Together(Each(MostCommon('shape'), AtWall('left')), Only(Enclosed()))
 
-The language's page in the documentation has all expressions and examples.
+The language's page in the documentation lists all expressions, with examples.
 """
 
 from magical.scene.vocabulary import Corner, Landmark, Wall

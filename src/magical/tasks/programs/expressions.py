@@ -1,7 +1,7 @@
 """What all expressions of the goal language have in common: types, text, parts.
 
-An expression is a frozen dataclass. Its fields are expressions, or words such as a colour; they
-are checked when it is made. Its `repr` is its text, which `magical.tasks.programs.parse` reads.
+An expression is a frozen dataclass. Its fields are expressions, or words such as a colour, checked
+when it is created. Its `repr` is its text, which `magical.tasks.programs.parse` reads.
 """
 
 from collections.abc import Iterator, Mapping
@@ -31,7 +31,7 @@ class Expression:
     """A typed expression; the types of its fields are classes.
 
     Raises:
-        InvalidProgramError: a field of another type; the message names expression and field.
+        InvalidProgramError: a field has a wrong type; the message names the expression and field.
     """
 
     def __post_init__(self) -> None:
@@ -59,7 +59,7 @@ class Expression:
 
     @property
     def parts(self) -> Iterator["Expression"]:
-        """The expression and all within it."""
+        """The expression itself and all expressions within it."""
         yield self
         for value in self.values:
             if isinstance(value, Expression):

@@ -1,7 +1,7 @@
-"""Generated tasks: a number gives a program, a Demo scene and all variants.
+"""Generated tasks: a number determines a program, a Demo scene and all variants.
 
-The tasks are called Generated0000 to Generated9999. What a number stands for depends on nothing
-but `GENERATOR`, which is the version in the ids of their environments.
+The tasks are called Generated0000 to Generated9999. What a number determines changes only with
+`GENERATOR`, which corresponds to the version in the ids of their environments.
 """
 
 import math
@@ -27,32 +27,32 @@ from magical.tasks.task import Task
 
 GENERATOR = 0  # the version of everything that a number's task depends on
 NAME = re.compile("Generated[0-9]{4}")
-MAX_PROGRAMS = 100  # that are sampled for a number
-MAX_SCENES = 200  # that are sampled for a program
-MAX_MOVED = 3  # blocks that a goal is about at most, but for clusters
-MORE_OUTSIDE = 2  # blocks outside the regions by which CountPlus may exceed the family's most
+MAX_PROGRAMS = 100  # sampled at most for one number
+MAX_SCENES = 200  # sampled at most for one program
+MAX_MOVED = 3  # blocks that a goal may be about at most, except for clusters
+MORE_OUTSIDE = 2  # blocks outside the regions that CountPlus may add to the family's maximum
 REGION_SIZE = (0.45, 0.7)  # units
 MARGIN = 0.12  # units from an enclosed block's centre to its region's nearest edge
 
 
 def is_generated(name: str) -> bool:
-    """Whether a task's name is that of a generated task."""
+    """Whether a name is that of a generated task."""
     return NAME.fullmatch(name) is not None
 
 
 @cache
 def generated_task(name: str) -> Task:
-    """The task of a name such as Generated0042.
+    """The task with a name such as Generated0042.
 
     Raises:
-        InvalidProgramError: none of the programs that were sampled has a scene.
+        InvalidProgramError: none of the sampled programs has a suitable scene.
     """
     rng = np.random.default_rng([GENERATOR, int(name.removeprefix("Generated"))])
     for _ in range(MAX_PROGRAMS):
         family, program = sample_program(rng)
         if (demo := _sample_demo(family, program, rng)) is not None:
             task = _make_task(name, family, program, demo)
-            with suppress(PlacementError):  # a variant that the program does not allow
+            with suppress(PlacementError):  # the program may rule out a variant
                 for variant in task.variants:
                     task.sample(variant, rng)
                 return task
@@ -82,7 +82,7 @@ def _make_task(name: str, family: Family, program: Goal, demo: Scene) -> Task:
 def randomise(
     scene: Scene, axes: Axis, rng: np.random.Generator, enclosed: int, most: int
 ) -> Scene:
-    """Uniform colours and shapes of everything, and up to `most` blocks outside the regions."""
+    """Sample uniform colours and shapes, and up to `most` blocks outside the regions."""
     outside = len(scene.blocks) - enclosed
     count = outside
     if Axis.COUNT in axes and outside:
@@ -109,7 +109,7 @@ def misfit(scene: Scene, program: Goal) -> str:
 
 
 def _sample_demo(family: Family, program: Goal, rng: np.random.Generator) -> Scene | None:
-    """A Demo scene for a program, enclosed blocks last; `None` where none of `MAX_SCENES` fits."""
+    """A Demo scene for a program, enclosed blocks last; `None` if none of `MAX_SCENES` fits."""
     regions, nowhere = sample_count(*family.regions, rng), Pose(0.0, 0.0, 0.0)
     enclosed = regions if family.encloses else 0
     blocks = max(2, sample_count(*family.outside, rng) + enclosed)
@@ -128,7 +128,7 @@ def _sample_demo(family: Family, program: Goal, rng: np.random.Generator) -> Sce
 
 
 def _has_room_for_all_shapes(scene: Scene) -> bool:
-    """Whether no shapes of the blocks would overlap: TestShape keeps Demo's poses."""
+    """Whether the blocks fit whatever their shapes, since TestShape keeps Demo's poses."""
     places = [block.pose[:2] for block in scene.blocks]
     if any(math.dist(a, b) < 2 * STAR_OUTER_RADIUS for a, b in combinations(places, 2)):
         return False
@@ -140,7 +140,7 @@ def _has_room_for_all_shapes(scene: Scene) -> bool:
 
 
 def _placement(enclosed: int) -> Placement:
-    """The last `enclosed` blocks each in the region of the same place in order."""
+    """A placement with the last `enclosed` blocks inside the regions, one each, in order."""
 
     def regions_of(count: int) -> Mapping[int, int]:
         return {count - enclosed + i: i for i in range(enclosed)}

@@ -1,7 +1,7 @@
-"""Goals: what a final state is scored by, in the appendix's manner.
+"""Goals: how a final state is scored, in the manner of the appendix.
 
-Every goal gives a score from 0 to 1, the units that blocks have still to go, and an English
-instruction. Goals are combined by `Together`, whose score is the product.
+Every goal gives a score from 0 to 1, the distances that blocks still have to move, and an English
+instruction. `Together` combines two goals; its score is their product.
 """
 
 import math
@@ -28,16 +28,16 @@ from magical.tasks.scoring import (
     positions,
 )
 
-SUCCESS = 0.5  # a final state is a success above this score: where every graded rule is past half
+SUCCESS = 0.5  # a final state is a success above this score, halfway through every graded rule
 CLUSTER_NO_SCORE = 0.5  # fraction of blocks clustered up to which the score is 0 (appendix A.2.7)
-UNFINISHED = 0.5  # what every block that must move costs in `progress`, in units
-MOVE = ("Push", "Move", "Bring")  # one a paraphrase
+UNFINISHED = 0.5  # fixed cost in `progress` of every block that must move, in units
+MOVE = ("Push", "Move", "Bring")  # one for each paraphrase
 KEEP = ("Keep", "Leave", "Hold")
 
 
 @dataclass(frozen=True, repr=False)
 class Goal(Expression):
-    """What is to be so at the end of an episode."""
+    """What should be true at the end of an episode."""
 
     def score(self, scene: Scene, poses: Poses) -> float:
         """The score, 0 to 1, of final poses in an episode that started from `scene`."""
@@ -46,8 +46,8 @@ class Goal(Expression):
     def ways(self, states: States) -> Floats:
         """The W ways to reach the goal from each of P states: (P, W, N + 1).
 
-        A way is what each block, and last the robot, has still to do: 0 once it is where it should
-        be, otherwise `UNFINISHED` and the units that it has to go.
+        A way is the work left for each block and, last, for the robot: 0 once it is where it should
+        be, otherwise `UNFINISHED` plus the distance that it still has to move, in units.
         """
         raise NotImplementedError
 
@@ -119,7 +119,7 @@ class OneOf(_Placed):
         chosen = np.array(sorted(self.selection.blocks(states.scene)) or [-1])[:, None]
         ways = np.where(np.arange(ways.shape[-1]) == chosen, ways, 0.0)
         shortest = ways.sum(axis=2, keepdims=True).min(axis=1, keepdims=True)
-        return np.where(shortest > 0.0, ways, 0.0)  # where one is there, nothing is left
+        return np.where(shortest > 0.0, ways, 0.0)  # once one is there, nothing is left
 
     def sentence(self, scene: Scene, style: Style) -> str:
         chosen = self.selection.blocks(scene)
@@ -133,7 +133,7 @@ class OneOf(_Placed):
 
 
 class Only(_OfBlocks):
-    """No others in the regions: 1 less the share of other blocks among those in regions."""
+    """No others in the regions: 1 minus the share of other blocks among those in regions."""
 
     def score(self, scene: Scene, poses: Poses) -> float:
         points, chosen = positions(scene, poses), self.selection.blocks(scene)
@@ -157,7 +157,7 @@ class Only(_OfBlocks):
 
 
 class Exactly(_OfBlocks):
-    """All of a selection and no others in the regions: the product of `Each` and `Only`."""
+    """All selected blocks and no others in the regions: the product of `Each` and `Only`."""
 
     def score(self, scene: Scene, poses: Poses) -> float:
         return self.both.score(scene, poses)
@@ -170,12 +170,12 @@ class Exactly(_OfBlocks):
 
     @cached_property
     def both(self) -> "Together":
-        """The two goals that it stands for."""
+        """The two goals that it combines."""
         return Together(Each(self.selection, InRegion()), Only(self.selection))
 
 
 class Undisturbed(_OfBlocks):
-    """Every region in which a selected block starts has the same blocks at the end: 1, else 0."""
+    """1 if every region in which a selected block starts has the same blocks at the end, else 0."""
 
     def score(self, scene: Scene, poses: Poses) -> float:
         left, came = self._changes(scene, np.reshape(positions(scene, poses), (-1, 2)))
@@ -194,7 +194,7 @@ class Undisturbed(_OfBlocks):
         return f"{style.of(KEEP)} {what} {stay(what, self.selection.blocks(scene))}."
 
     def _changes(self, scene: Scene, points: Floats) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Whether blocks at points (..., N, 2) left a region, or came into one: (..., N) each.
+        """Whether blocks at points (..., N, 2) left a region, or entered one: (..., N) each.
 
         Only regions in which a selected block starts count.
         """
@@ -206,7 +206,7 @@ class Undisturbed(_OfBlocks):
 
 
 class Lined(_OfBlocks):
-    """Selected blocks in one line: 1, for all but one 0.5, otherwise 0 (appendix A.2.4)."""
+    """Selected blocks in a line: 1 if all are, 0.5 if all but one are, else 0 (appendix A.2.4)."""
 
     def score(self, scene: Scene, poses: Poses) -> float:
         points = self._points(scene, poses)
@@ -264,7 +264,7 @@ class Clustered(Goal):
         return f"{verb} the blocks into clusters of the same {self.attribute.words}."
 
     def distances(self, scene: Scene, poses: Poses) -> tuple[Floats, Floats]:
-        """See `centroid_distances`: of each block to its own value's centroid, to another's."""
+        """Squared distances of blocks to own and other centroids; see `centroid_distances`."""
         return centroid_distances(self._values(scene), np.array(positions(scene, poses)))
 
     def _values(self, scene: Scene) -> list[str]:
@@ -272,7 +272,7 @@ class Clustered(Goal):
 
 
 class RobotInside(Goal):
-    """The robot's centre inside a region: 1, otherwise 0 (appendix A.2.2)."""
+    """The robot in a region: 1 if its centre is inside one, otherwise 0 (appendix A.2.2)."""
 
     def score(self, scene: Scene, poses: Poses) -> float:
         x, y, _ = poses.robot
@@ -314,7 +314,7 @@ class Together(Goal):
 def _one_way(
     states: States, which: slice | list[int], units: Floats, unfinished: NDArray[np.bool_]
 ) -> Floats:
-    """The only way from each state: units (P, K) that K things have to go, if unfinished."""
+    """A single way from each state: K bodies have `units` (P, K) left to move, if unfinished."""
     ways = np.zeros((len(units), 1, len(states.scene.blocks) + 1))
     ways[:, 0, which] = np.where(unfinished, UNFINISHED + units, 0.0)
     return ways
@@ -327,7 +327,7 @@ def ways_at_start(goal: Goal, scene: Scene) -> Floats:
 
 
 def _units_to_gather(points: Floats) -> Floats:
-    """Units (P, K) that blocks at (P, K, 2) have to go to be beside the best one of them."""
+    """Distances (P, K) that blocks at (P, K, 2) must move to be next to the best of them."""
     units = (lengths(points[:, :, None] - points[:, None]) - NEIGHBOUR_DISTANCE).clip(min=0.0)
     work = np.where(units > 0.0, UNFINISHED + units, 0.0).sum(axis=2)  # (P, K) around each
     best: Floats = units[np.arange(len(points)), work.argmin(axis=1)]
@@ -335,7 +335,7 @@ def _units_to_gather(points: Floats) -> Floats:
 
 
 def _units_to_lines(points: Floats) -> Floats:
-    """Units (P, W, K) that blocks at (P, K, 2) have to go for lines through each two of them."""
+    """Distances (P, W, K) that blocks at (P, K, 2) must move into line with each pair of them."""
     first, second = np.triu_indices(points.shape[1], 1)
     start = points[:, first]  # (P, W, 2)
     along = points[:, second] - start
@@ -356,9 +356,9 @@ def instruction(goal: Goal, scene: Scene, *, paraphrase: int = 0, attributes: bo
     """A goal in a scene as an English instruction.
 
     Args:
-        goal: what is to be done.
+        goal: what should be done.
         scene: the initial scene.
-        paraphrase: which wording; there are `len(MOVE)`, beyond which they repeat.
+        paraphrase: index of the wording; there are `len(MOVE)`, after which they repeat.
         attributes: whether blocks and regions are named by their colours and shapes, as in "Push
             the yellow pentagon that is outside into the yellow region."; otherwise only by what the
             task is about, as in "Push a block that is outside and looks like one inside ...".
@@ -369,14 +369,15 @@ def instruction(goal: Goal, scene: Scene, *, paraphrase: int = 0, attributes: bo
 def progress(goal: Goal, scene: Scene, poses: Poses) -> float:
     """The potential whose increase is the dense reward, in units.
 
-    With d_i the units that block i has still to go, and w those of the robot's way along the blocks
-    that must move, from between its fingers to the nearest block and from each to the nearest left,
+    With d_i the distance that body i (a block, or the robot) still has to move, and w the length of
+    a path from between the robot's fingers to the nearest block that must move, and from each to
+    the nearest one left,
 
-        progress = - sum over blocks that must move of (UNFINISHED + d_i)  -  w,
+        progress = - sum over bodies that must move of (UNFINISHED + d_i)  -  w,
 
-    the highest over all ways to reach the goal. It depends on the state alone, so that rewards sum
-    to zero over a loop, and it falls neither where a block is finished and the next one is far nor
-    where another way becomes better.
+    the maximum over all ways to reach the goal. It depends only on the state, so rewards sum to
+    zero over a loop. It falls neither when a block is finished and the next one is far away nor
+    when another way becomes better.
     """
     states = States(scene, poses.bodies[None])
     between_fingers = to_workspace((0.0, ROBOT_RADIUS + BLOCK_SIZE), poses.robot)
@@ -389,7 +390,7 @@ def progress(goal: Goal, scene: Scene, poses: Poses) -> float:
 
 
 def _way_along(start: Point, points: list[Point]) -> float:
-    """Units from a point along all others, each time to the nearest one left."""
+    """Length of the path from a point through all others, each time to the nearest one left."""
     length, left = 0.0, list(points)
     while left:
         nearest = min(left, key=lambda point: math.dist(point, start))

@@ -1,4 +1,4 @@
-"""Programs as text: what `repr` prints, read back without evaluating anything."""
+"""Parsing of programs: the text that `repr` prints is read back without evaluating anything."""
 
 import ast
 from collections.abc import Mapping
@@ -23,14 +23,15 @@ VOCABULARY: Mapping[str, type[Expression]] = MappingProxyType(
         and kind not in KINDS
         and not name.startswith("_")
     }
-)  # every expression by its name
+)  # every kind of expression by its name
 
 
 def parse(text: str) -> Goal:
-    """The program of a text such as `Each(WithColour('red'), InRegion())`.
+    """Parse a program such as `Each(WithColour('red'), InRegion())`.
 
     Raises:
-        InvalidProgramError: the text is no program; the message names the expression and why.
+        InvalidProgramError: the text is not a program; the message names the expression and the
+            reason.
     """
     if len(text) > MAX_TEXT:
         raise InvalidProgramError(f"program: expected at most {MAX_TEXT} characters, found more")
@@ -68,5 +69,5 @@ def _expression(node: ast.expr) -> Expression | str:
     values = [_expression(argument) for argument in node.args]
     try:
         return kind(*values)
-    except TypeError as error:  # too few or too many
+    except TypeError as error:  # too few or too many arguments
         raise InvalidProgramError(f"expression {quoted(text)}: {error}") from error

@@ -1,4 +1,4 @@
-"""Places: where blocks are to be at the end of an episode."""
+"""Places: where blocks should be at the end of an episode."""
 
 import math
 from collections.abc import Sequence
@@ -27,14 +27,14 @@ CORNERS = {
 
 @dataclass(frozen=True, repr=False)
 class Place(Expression):
-    """Where a block may be. `points` are all N blocks' centres in units."""
+    """Where a block may be. `points` are the centres of all N blocks, in units."""
 
     def degree(self, scene: Scene, block: int, points: Sequence[Point]) -> float:
         """How well a block is placed, from 0 to 1 (there)."""
         return float(self.remaining(scene, np.array(points))[block] <= 0.0)
 
     def remaining(self, scene: Scene, points: Floats) -> Floats:
-        """Units (..., N) that blocks at points (..., N, 2) have still to go, 0.0 once there."""
+        """Distances (..., N) that blocks at points (..., N, 2) must still move, 0.0 once there."""
         raise NotImplementedError
 
     def phrase(self, scene: Scene, style: Style) -> str:
@@ -86,7 +86,7 @@ class OutOfRegions(Place):
 
 @dataclass(frozen=True, repr=False)
 class InCorner(Place):
-    """In a corner of the workspace, by degrees (appendix A.2.1)."""
+    """In a corner of the workspace, graded by distance (appendix A.2.1)."""
 
     corner: Corner
 
@@ -124,14 +124,14 @@ class AtWall(Place):
 
 @dataclass(frozen=True, repr=False)
 class Beside(Place):
-    """At most `NEIGHBOUR_DISTANCE` from another block of a selection."""
+    """At most `NEIGHBOUR_DISTANCE` from another block in a selection."""
 
     selection: Selection
 
     def remaining(self, scene: Scene, points: Floats) -> Floats:
         chosen = np.array(sorted(self.selection.blocks(scene)), np.intp)
         away = lengths(points[..., :, None, :] - points[..., None, chosen, :])
-        away[..., chosen, np.arange(len(chosen))] = np.inf  # no block is beside itself
+        away[..., chosen, np.arange(len(chosen))] = np.inf  # no block is next to itself
         left: Floats = away.min(axis=-1, initial=np.inf) - NEIGHBOUR_DISTANCE
         return left.clip(min=0.0)
 
@@ -140,7 +140,7 @@ class Beside(Place):
 
 
 def depths_in_regions(scene: Scene, points: Floats) -> Floats:
-    """Units (..., R) from points (..., 2) to the nearest edge of each region, negative outside."""
+    """Distances (..., R) of points (..., 2) from each region's nearest edge, negative outside."""
     x, y = points[..., 0, None], points[..., 1, None]
     left, top, width, height = _rectangles(scene)
     across = np.minimum(x - left, left + width - x)
@@ -149,7 +149,7 @@ def depths_in_regions(scene: Scene, points: Floats) -> Floats:
 
 
 def _distances_to_regions(scene: Scene, points: Floats) -> Floats:
-    """Units (..., R) from points (..., 2) to each region, 0.0 inside."""
+    """Distances (..., R) from points (..., 2) to each region, 0.0 inside."""
     x, y = points[..., 0, None], points[..., 1, None]
     left, top, width, height = _rectangles(scene)
     across = np.maximum(left - x, x - left - width).clip(min=0.0)

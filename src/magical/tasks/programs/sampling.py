@@ -1,4 +1,4 @@
-"""Random programs: families of goals with their weights, and how many bodies their scenes have.
+"""Random programs: families of goals, with their weights and the contents of their scenes.
 
 `DISTRIBUTION` is the whole distribution of programs.
 """
@@ -52,22 +52,22 @@ from magical.tasks.programs import (
 
 Rng = np.random.Generator
 
-OUTSIDE = (2, 5)  # blocks outside the regions: least and most in Demo
-CLUSTERED = (4, 6)  # blocks to be clustered: least and most in Demo
-LINED = (3, 4)  # blocks where some are to be in a line: least and most in Demo
+OUTSIDE = (2, 5)  # blocks outside the regions: minimum and maximum in Demo
+CLUSTERED = (4, 6)  # blocks to be clustered: minimum and maximum in Demo
+LINED = (3, 4)  # blocks, some of which must form a line: minimum and maximum in Demo
 SHORT_HORIZON, HORIZON, LONG_HORIZON = 120, 180, 320  # control steps
 
 
 @dataclass(frozen=True, slots=True)
 class Family:
-    """Goals of one form: how often they are sampled, and what their scenes have.
+    """Goals of one form: how often they are sampled, and what their scenes contain.
 
     Attributes:
-        weight: relative to the other families.
+        weight: relative to the weights of the other families.
         sample_fn: samples a goal.
-        regions: least and most in its scenes.
+        regions: minimum and maximum number in its scenes.
         encloses: whether a block starts inside each region.
-        outside: blocks that start outside, least and most.
+        outside: minimum and maximum number of blocks that start outside the regions.
         horizon: control steps.
     """
 
@@ -157,7 +157,7 @@ DISTRIBUTION: Mapping[str, Family] = MappingProxyType(
 
 
 def sample_program(rng: Rng) -> tuple[Family, Goal]:
-    """A family, by its weight, and a program of it."""
+    """Sample a family in proportion to its weight, and a program from it."""
     families = tuple(DISTRIBUTION.values())
     weights = np.array([family.weight for family in families])
     family = families[int(rng.choice(len(families), p=weights / weights.sum()))]
@@ -165,7 +165,7 @@ def sample_program(rng: Rng) -> tuple[Family, Goal]:
 
 
 def sample_selection(rng: Rng, region: bool = True) -> Selection:
-    """A selection of one or several blocks; of those that need a region only with `region`."""
+    """Sample a selection of one or several blocks; `region` admits those that need a region."""
     kinds: list[Callable[[], Selection]] = [
         lambda: WithColour(sample_item(COLOURS, rng)),
         lambda: WithShape(sample_item(SHAPES, rng)),
@@ -179,7 +179,7 @@ def sample_selection(rng: Rng, region: bool = True) -> Selection:
 
 
 def sample_single(rng: Rng, region: bool = True) -> Selection:
-    """A selection of one block by its meaning."""
+    """Sample a selection that means a single block."""
     landmarks = tuple(Landmark) if region else (Landmark.ROBOT, Landmark.CENTRE)
     kinds: list[Callable[[], Selection]] = [
         lambda: OddOneOut(sample_item((Attribute.COLOUR, Attribute.SHAPE), rng)),

@@ -1,6 +1,6 @@
 """Selections: which blocks of an initial scene are meant.
 
-A selection is settled by the scene that an episode starts from, so that it does not change while
+A selection is determined by the scene that an episode starts from, so it does not change while
 blocks are moved.
 """
 
@@ -23,7 +23,7 @@ class Selection(Expression):
     """Some of a scene's blocks.
 
     Attributes:
-        single: whether it is one block by its meaning.
+        single: whether it means a single block.
         template: its clause, with its fields as `{0.field}`.
     """
 
@@ -83,7 +83,7 @@ class WithShape(Selection):
 
 
 class OfRegionColour(Selection):
-    """The blocks of the colour of a region, whichever."""
+    """The blocks of the colour of any region."""
 
     template = "of the region's colour"
 
@@ -140,7 +140,7 @@ class _ByAttribute(Selection):
 class LikeEnclosed(_ByAttribute):
     """The blocks that have an attribute in common with a block that starts inside a region.
 
-    That block is one of them; `And(Outside(), LikeEnclosed(...))` are the others.
+    That block is also selected; `And(Outside(), LikeEnclosed(...))` selects only those outside.
     """
 
     def blocks(self, scene: Scene) -> Blocks:
@@ -156,7 +156,7 @@ class LikeEnclosed(_ByAttribute):
 
 
 class OddOneOut(_ByAttribute):
-    """The block whose value of an attribute no other has, if there is one such block."""
+    """The block whose value of an attribute no other has, if there is exactly one such block."""
 
     single = True
     template = "whose {0.attribute.words} no other block has"
@@ -168,7 +168,7 @@ class OddOneOut(_ByAttribute):
 
 
 class MostCommon(_ByAttribute):
-    """The blocks with the most common value of an attribute, if one is the most common."""
+    """The blocks with the most common value of an attribute, if there is no tie."""
 
     template = "of the most common {0.attribute.words}"
 
@@ -187,7 +187,7 @@ class _ByDistance(Selection):
 
 
 class Nearest(_ByDistance):
-    """The block nearest to a landmark, if it is so by `CLEAR_DIFFERENCE`."""
+    """The block nearest to a landmark, if it is nearest by `CLEAR_DIFFERENCE`."""
 
     template = "nearest to the {0.landmark}"
 
@@ -196,7 +196,7 @@ class Nearest(_ByDistance):
 
 
 class Farthest(_ByDistance):
-    """The block farthest from a landmark, if it is so by `CLEAR_DIFFERENCE`."""
+    """The block farthest from a landmark, if it is farthest by `CLEAR_DIFFERENCE`."""
 
     template = "farthest from the {0.landmark}"
 
@@ -206,7 +206,7 @@ class Farthest(_ByDistance):
 
 @dataclass(frozen=True, repr=False)
 class AllBut(Selection):
-    """All blocks but those selected."""
+    """All blocks except those in a selection."""
 
     selection: Selection
 
@@ -263,7 +263,7 @@ def region_of(block: Block, scene: Scene) -> Region | None:
 
 
 def distances_to(landmark: Landmark, scene: Scene) -> list[float]:
-    """Each block's distance to a landmark at the start, in units; infinite without any region."""
+    """Each block's distance to a landmark at the start, in units; infinite if there is none."""
     points = {
         Landmark.ROBOT: [scene.robot[:2]],
         Landmark.CENTRE: [(0.0, 0.0)],
@@ -280,7 +280,7 @@ def _where(flags: Iterable[bool]) -> Blocks:
 
 
 def _first(keys: list[float]) -> Blocks:
-    """The index of the least key, if it is the least by `CLEAR_DIFFERENCE`."""
+    """The index of the smallest key, if it is the smallest by `CLEAR_DIFFERENCE`."""
     order = sorted(range(len(keys)), key=keys.__getitem__)
     if not order or not math.isfinite(keys[order[0]]):
         return frozenset()

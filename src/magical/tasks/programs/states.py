@@ -1,4 +1,4 @@
-"""Many states of an episode at once, and what goals leave to be done in them."""
+"""Batches of states of an episode, and the work that goals leave in each of them."""
 
 from typing import TYPE_CHECKING
 
@@ -16,10 +16,10 @@ Floats = NDArray[np.float64]
 
 
 class States:
-    """P states of an episode of N blocks.
+    """P states of an episode with N blocks.
 
     Attributes:
-        scene: what the episode started from.
+        scene: the episode's initial scene.
         robot: (P, 2) the robot's position, in units.
         points: (P, N, 2) the blocks' centres, in units.
     """
@@ -32,24 +32,24 @@ class States:
         self._parts: dict[Goal, Floats] = {}
 
     def units(self, place: "Place") -> Floats:
-        """Units (P, N) that each block has still to go to a place, measured once."""
+        """Distances (P, N), in units, that blocks still have to move to a place; computed once."""
         if place not in self._units:
             self._units[place] = place.remaining(self.scene, self.points)
         return self._units[place]
 
     def ways_of_part(self, goal: "Goal") -> Floats:
-        """A goal's ways, which are kept, because several goals may share a part."""
+        """A goal's ways, cached because several goals may share a part."""
         if goal not in self._parts:
             self._parts[goal] = goal.ways(self)
         return self._parts[goal]
 
     def work(self, goal: "Goal") -> Floats:
-        """Units of work that the best way to reach a goal leaves: (P,)."""
+        """The least work, in units, that any way to reach a goal leaves: (P,)."""
         work: Floats = goal.ways(self).sum(axis=2).min(axis=1)
         return work
 
     def best_way(self, goal: "Goal") -> Floats:
-        """What the way with the least work leaves for each block and the robot: (P, N + 1)."""
+        """The work that the best way leaves for each block and, last, the robot: (P, N + 1)."""
         ways = goal.ways(self)
         best: Floats = ways[np.arange(len(ways)), ways.sum(axis=2).argmin(axis=1)]
         return best

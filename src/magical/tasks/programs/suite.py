@@ -1,12 +1,12 @@
 """The suite of generated tasks: 64 to develop learners on, 32 held out for a final evaluation.
 
-They are the first numbers whose program is neither one of the paper's tasks nor that of a lower
-number, and which the scripted expert solves (`LEAST_SCORES`; studies/generated_tasks). Every third
-one is held out.
+These are the first numbers whose program is neither one of the paper's tasks nor that of a lower
+number, and whose task the scripted expert solves (`LEAST_SCORES`; studies/generated_tasks). Every
+third one is held out.
 """
 
 SIZE = 96
-LEAST_SCORES = {"Demo": 0.9, "All": 0.8}  # the expert's mean scores, by variant
+LEAST_SCORES = {"Demo": 0.9, "All": 0.8}  # minimum mean scores of the expert, by variant
 
 # fmt: off
 SUITE = (

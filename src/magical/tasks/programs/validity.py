@@ -20,7 +20,7 @@ def problem(goal: Goal, scene: Scene) -> str:
 
 
 def _unreachable(goal: Goal, scene: Scene) -> str:
-    """Why no final state of the scene can be the goal, or an empty string."""
+    """Why no final state of the scene can reach the goal, or an empty string."""
     if isinstance(goal, Clustered):
         kinds = {value_of(block, goal.attribute) for block in scene.blocks}
         return "" if len(kinds) > 1 else "expected blocks of at least two values, found fewer"

@@ -1,4 +1,4 @@
-"""English for the blocks that are meant: by attributes that can be seen, or by the relation."""
+"""English for selected blocks: by visible attributes, or by the relation that selects them."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ class Style:
     """How an instruction is worded.
 
     Attributes:
-        paraphrase: which of the wordings.
+        paraphrase: index of the wording.
         attributes: whether blocks and regions are named by their colours and shapes.
     """
 
@@ -24,15 +24,15 @@ class Style:
     attributes: bool = True
 
     def of(self, choices: Sequence[str]) -> str:
-        """The wording of this paraphrase."""
+        """The choice that belongs to this paraphrase."""
         return choices[self.paraphrase % len(choices)]
 
 
 def describe(selection: Selection, scene: Scene, style: Style) -> str:
     """A selection in English, such as "the red star and both blue circles".
 
-    Blocks that attributes do not tell apart, and all blocks where these are left out, are described
-    by the relation that selects them, such as "the block nearest to the region".
+    Blocks that attributes do not distinguish, and all blocks if attributes are left out, are
+    described by the relation that selects them, such as "the block nearest to the region".
     """
     chosen = selection.blocks(scene)
     several_of_all = isinstance(selection, AllBlocks) and len(chosen) > 1
@@ -50,7 +50,7 @@ def join(phrases: Sequence[str]) -> str:
 
 
 def _names(chosen: Blocks, scene: Scene) -> list[str] | None:
-    """Each kind of the chosen blocks, told apart from all others; `None` where it cannot be."""
+    """Each kind of the chosen blocks, distinguished from all others; `None` if it cannot be."""
     kinds = [value_of(block, Attribute.KIND) for block in scene.blocks]
     enclosed = Enclosed().blocks(scene)
     names = []
@@ -65,7 +65,7 @@ def _names(chosen: Blocks, scene: Scene) -> list[str] | None:
 
 
 def _where(chosen: set[int], others: set[int], enclosed: Blocks) -> str | None:
-    """What tells chosen blocks from others of their kind; `None` where nothing does."""
+    """What distinguishes chosen blocks from others of their kind; `None` if nothing does."""
     if not others:
         return ""
     verb = "are" if len(chosen) > 1 else "is"
@@ -77,7 +77,7 @@ def _where(chosen: set[int], others: set[int], enclosed: Blocks) -> str | None:
 
 
 def name_regions(scene: Scene, style: Style, article: str = "a") -> str:
-    """The scene's regions in English: "the blue region", or `article` "region" where several."""
+    """The scene's regions in English: "the blue region", or `article` "region" if not just one."""
     if len(scene.regions) != 1:
         return f"{article} region"
     colour = f"{scene.regions[0].colour} " if style.attributes else ""
@@ -85,5 +85,5 @@ def name_regions(scene: Scene, style: Style, article: str = "a") -> str:
 
 
 def stay(what: str, blocks: Blocks) -> str:
-    """Where blocks, described as `what`, are to stay, in English."""
+    """Where blocks, described as `what`, should stay, in English."""
     return "where it is" if len(blocks) == 1 or what.startswith("every") else "where they are"

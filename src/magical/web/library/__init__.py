@@ -1,6 +1,6 @@
-"""Looking at episodes: what the page lists, and what it shows of an episode.
+"""Viewing episodes: what the page lists, and what it shows of an episode.
 
-- `sources`: datasets, and the rollouts of this session, by key; their episodes, by number.
+- `sources`: datasets, and the rollouts made on this server, by key; their episodes, by number.
 - `viewing`: an episode step by step: frames, actions, scores.
-- `routes`: the HTTP routes, which compute in threads.
+- `routes`: the HTTP routes, whose work runs in threads.
 """

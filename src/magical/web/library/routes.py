@@ -1,4 +1,4 @@
-"""The HTTP routes of the library. What takes long is computed in threads: the players go on."""
+"""The HTTP routes of the library. Slow work runs in threads, so that players need not wait."""
 
 import asyncio
 import json
@@ -45,18 +45,18 @@ from magical.web.messages import (
 from magical.web.policies import Policies
 from magical.web.security import RateLimit
 
-REQUEST_RATE = 40.0  # requests a second, of all pages together
+REQUEST_RATE = 40.0  # requests per second, all pages together
 REQUEST_BURST = 120.0  # requests
-MAX_WAITING = 32  # requests that are computed or wait for it, beyond which none is accepted
-MAX_WAITING_ROLLOUTS = 4  # of these, rollouts and probabilities of policies
-OPEN_EPISODES = 8  # that are kept in memory
+MAX_WAITING = 32  # requests running or queued, beyond which more are rejected
+MAX_WAITING_ROLLOUTS = 4  # the same for rollouts and action probabilities, in their own queue
+OPEN_EPISODES = 8  # kept in memory
 
 _Result = TypeVar("_Result")
 _Query = TypeVar("_Query")
 
 
 class AsciiJSON(JSONResponse):
-    """JSON with everything but ASCII escaped: names in datasets may have lone surrogates."""
+    """JSON with non-ASCII characters escaped: names in datasets may have lone surrogates."""
 
     def render(self, content: Any) -> bytes:
         """See Starlette."""
@@ -71,28 +71,28 @@ class Worker:
         self._free = limit
 
     async def run(self, work: Callable[..., _Result], *arguments: Any) -> _Result:
-        """The result of the work in the thread; raises `BusyError` where the queue is full."""
+        """Run work in the thread and return its result; raises `BusyError` if the queue is full."""
         if not self._free:
             raise BusyError("the server is busy with other requests; try again in a moment")
         self._free -= 1
         future = asyncio.get_running_loop().run_in_executor(self._executor, work, *arguments)
-        future.add_done_callback(self._note_done)  # also where the request was given up meanwhile
+        future.add_done_callback(self._note_done)  # also if the request was cancelled meanwhile
         return await future
 
     def _note_done(self, _: object) -> None:
         self._free += 1
 
     def close(self) -> None:
-        """End the thread after what it is doing."""
+        """End the thread after its current work; queued work is cancelled."""
         self._executor.shutdown(wait=True, cancel_futures=True)
 
 
 class Library:
-    """Datasets, runs and rollouts of a server, as its page asks for them.
+    """A server's datasets, runs and rollouts, for the page's requests.
 
     Args:
         datasets: the datasets' folders; their keys are `d0`, `d1`, ...
-        policies: that can be rolled out.
+        policies: the policies that can be rolled out.
 
     Raises:
         DatasetError: a folder holds no dataset, or a damaged one.
@@ -103,7 +103,7 @@ class Library:
         self._rollouts = RolloutSource()
         self._sources = {f"d{i}": one for i, one in enumerate(sources)} | {ROLLOUTS: self._rollouts}
         self._policies = policies
-        self._rng = np.random.default_rng()  # of the seeds of scenes
+        self._rng = np.random.default_rng()  # samples the seeds of scenes
         self._limit = RateLimit(REQUEST_RATE, REQUEST_BURST, monotonic())
         self._reader = Worker("reader", MAX_WAITING)  # reads files, renders frames
         self._runner = Worker("runner", MAX_WAITING_ROLLOUTS)  # runs policies
@@ -115,7 +115,7 @@ class Library:
         return self._opened(source, number, self._find(source).version)
 
     def routes(self) -> list[BaseRoute]:
-        """All routes; none takes a path."""
+        """All routes; none takes a file path from the request."""
         return [
             self._route("/api/library", NoQuery, self._reader, self._list_library),
             self._route("/api/episodes", ListQuery, self._reader, self._list_episodes),
@@ -140,7 +140,7 @@ class Library:
         answer: Callable[[_Query], Response],
         method: str = "GET",
     ) -> Route:
-        """A route that limits the rate of requests, and says what is wrong with one."""
+        """A route that limits the request rate and reports errors to the page."""
 
         async def respond(request: Request) -> Response:
             if not self._limit.allows(monotonic()):
@@ -157,7 +157,7 @@ class Library:
             raise NotFoundError(f"source: expected one of {', '.join(self._sources)}")
         return self._sources[key]
 
-    # Answers, computed in threads
+    # Responses, computed in threads
 
     def _list_library(self, _: NoQuery) -> Response:
         return AsciiJSON(
@@ -208,7 +208,7 @@ def _described(task: Task) -> dict[str, Any]:
 
 
 async def _parsed(kind: type[_Query], request: Request) -> _Query:
-    """What a request asks for, by its address or its body; raises `MessageError`."""
+    """Parse a request from its URL or its body; raises `MessageError`."""
     given = [item for item in request.query_params.multi_items() if item[0] != "token"]
     if len(dict(given)) < len(given):
         raise MessageError("expected each field once")
@@ -219,7 +219,7 @@ async def _parsed(kind: type[_Query], request: Request) -> _Query:
 
 
 async def body(request: Request) -> bytes:
-    """A request's body, of at most `MAX_BYTES`; raises `MessageError`."""
+    """A request's body, at most `MAX_BYTES`; raises `MessageError`."""
     content = b""
     try:
         async for part in request.stream():

@@ -1,4 +1,4 @@
-"""Where episodes come from, addressed by short keys: no path ever comes from the page."""
+"""Sources of episodes, addressed by short keys: the page never sends a path."""
 
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
@@ -13,11 +13,11 @@ from magical.demos.store.trajectory import Trajectory
 from magical.errors import NotFoundError
 
 ROLLOUTS = "rollouts"  # the key of a server's `RolloutSource`
-MAX_ROLLOUTS = 50  # that are kept; the oldest are dropped first
+MAX_ROLLOUTS = 50  # kept in memory; the oldest are dropped first
 
 
 class DatasetSource:
-    """A dataset on disk, which may grow meanwhile.
+    """A dataset on disk, which may grow while the server runs.
 
     Raises:
         DatasetError: the folder holds no dataset, or a damaged one.
@@ -31,15 +31,15 @@ class DatasetSource:
 
     @property
     def version(self) -> object:
-        """What changes when the dataset does."""
+        """A value that changes whenever the dataset does."""
         return version_of(self._folder / manifest.NAME)
 
     def episodes(self) -> Mapping[int, ManifestEntry]:
-        """The manifest's entries by the numbers that episodes keep, oldest first."""
+        """The manifest's entries by episode number, which never changes, oldest first."""
         return {entry.index: entry for entry in self._open().entries}
 
     def read(self, number: int) -> Trajectory:
-        """The episode of a number; raises `NotFoundError` or `DatasetError`."""
+        """The episode with a number; raises `NotFoundError` or `DatasetError`."""
         dataset = self._open()
         for entry in dataset.entries:
             if entry.index == number:
@@ -51,13 +51,13 @@ class DatasetSource:
 
 
 class RolloutSource:
-    """Episodes that policies were rolled out in for the page: in memory, the newest ones only."""
+    """Rollouts that the page requested, in memory; only the newest are kept."""
 
     name = "Rollouts of policies"
-    version: object = None  # the number of an episode is never used again
+    version: object = None  # constant: episode numbers are never reused
 
     def __init__(self) -> None:
-        self._episodes: Mapping[int, Trajectory] = {}  # replaced, never changed: threads read it
+        self._episodes: Mapping[int, Trajectory] = {}  # replaced, never mutated: threads read it
         self._numbers = count()
 
     def add(self, episode: Trajectory) -> int:
@@ -71,14 +71,14 @@ class RolloutSource:
         return self._episodes
 
     def read(self, number: int) -> Trajectory:
-        """The episode of a number; raises `NotFoundError`."""
+        """The episode with a number; raises `NotFoundError`."""
         if episode := self._episodes.get(number):
             return episode
         raise NotFoundError(f"rollout {number} is not kept any more; roll out again")
 
 
 def summary(number: int, episode: Trajectory | ManifestEntry) -> dict[str, Any]:
-    """One line of the list of episodes, as plain JSON data."""
+    """One row of the list of episodes, as plain JSON data."""
     return {
         "number": number,
         "env_id": episode.env_id,
@@ -90,7 +90,7 @@ def summary(number: int, episode: Trajectory | ManifestEntry) -> dict[str, Any]:
 
 
 def unique_names(folders: Sequence[Path]) -> list[str]:
-    """A name for each folder: its last part, and a number where another has the same."""
+    """A name for each folder: its last part, with a number if an earlier one has the same."""
     names: list[str] = []
     for folder in folders:
         name = folder.resolve().name or "data"
@@ -100,7 +100,7 @@ def unique_names(folders: Sequence[Path]) -> list[str]:
 
 
 def version_of(path: Path) -> tuple[int, int] | None:
-    """What changes when a file does; `None`: there is none, as reading it says."""
+    """A value that changes whenever a file does; `None` if it cannot be accessed."""
     try:
         found = path.stat()
     except OSError:

@@ -1,4 +1,4 @@
-"""An episode as the page shows it: what happened in each step, and its frames."""
+"""An episode as the page shows it: what happened in each step, and the frames."""
 
 import struct
 from functools import cached_property
@@ -12,14 +12,14 @@ from magical.scene import Poses
 from magical.web.frames import encode_webp, render_webp
 from magical.web.messages import PAGE_VIEWS
 
-MAX_STEPS = 5000  # of an episode that can be looked at: ten minutes
+MAX_STEPS = 5000  # length of the longest episode that can be viewed: ten minutes
 
 
 class ViewedEpisode:
-    """One episode, opened to be looked at.
+    """One episode, opened for viewing.
 
     Raises:
-        TrajectoryError: it is longer than can be shown.
+        TrajectoryError: the episode is too long to be shown.
     """
 
     def __init__(self, trajectory: Trajectory) -> None:
@@ -31,9 +31,9 @@ class ViewedEpisode:
 
     @cached_property
     def details(self) -> dict[str, Any]:
-        """Everything but the frames, as plain JSON data.
+        """Everything except the frames, as plain JSON data.
 
-        `scores` has the score of each of the T + 1 states, where poses are known.
+        `scores` has the score of each of the T + 1 states; `None` if poses are not known.
         """
         episode = self.trajectory
         return {
@@ -57,22 +57,24 @@ class ViewedEpisode:
 
     @property
     def views(self) -> list[str]:
-        """The names in `PAGE_VIEWS` that frames can be had in."""
+        """The names in `PAGE_VIEWS` for which frames are available."""
         stored = self.trajectory.frames
         if self.trajectory.poses is not None or stored is None:
             return list(PAGE_VIEWS)
         return [name for name, views in PAGE_VIEWS.items() if set(views) <= set(stored)]
 
     def frames(self, view: str, first: int, count: int) -> bytes:
-        """Frames of the states from `first` on as WebP files, each after its size in four bytes.
+        """Frames of the states from `first` on, as WebP files.
+
+        Each file is preceded by its size in bytes, as a big-endian 32-bit integer.
 
         Args:
             view: one of `PAGE_VIEWS`.
             first: the first state, 0 to T.
-            count: at most so many; there are fewer at the end.
+            count: the maximum number of frames; there are fewer at the end of the episode.
 
         Raises:
-            NotFoundError: there is no such state, or it was not recorded in this view.
+            NotFoundError: there is no such state, or the episode was not recorded in this view.
         """
         if first > len(self.trajectory) or view not in self.views:
             raise NotFoundError(

@@ -1,1 +1,1 @@
-"""Poses recovered from the frames of the published human demonstrations."""
+"""Recovery of poses from the frames of the published human demonstrations."""

@@ -19,11 +19,11 @@ from magical.render.frame import body_frames
 from magical.render.polygons import SUBSAMPLES, Floats, Ints
 
 MAX_LAYERS = 8  # polygons in a pixel's list; further ones are left out
-MIXED = 255  # the label of a pixel of no plain colour
-TILE = 8  # pixels across the tiles in which edges on the ground are looked for
-DEEP = 1e3  # pixels: stands for any distance beyond the band
-DASH_REACH = 3.0  # pixels from a region's edge within which its dashes may be
-AMBIGUOUS = 4.0  # square pixels: two explanations that differ by less in cost explain nothing
+MIXED = 255  # the label of a pixel with none of the scene's plain colours
+TILE = 8  # width in pixels of the tiles in which edges on the ground are searched for
+DEEP = 1e3  # pixels: represents any distance beyond the band
+DASH_REACH = 3.0  # pixels from a region's edge within which its dashes may lie
+AMBIGUOUS = 4.0  # square pixels: explanations whose costs differ by less are rejected
 
 FIRST, COUNT, ANCHOR, TURN, COLOUR, PART = range(6)  # columns of `items`
 
@@ -36,9 +36,9 @@ class Layers(NamedTuple):
     vertices: Floats  # (2, V)
     items: Ints  # (n, 6): first vertex, vertices, anchor row, turn row, colour, part
     offsets: Floats  # (n, 2): in the anchor's frame
-    circles: Floats  # (n, 4): a point inside, radii of the circles about it inside and around
+    circles: Floats  # (n, 4): a point inside, radii of the inner and outer circles about it
     rectangles: Floats  # (R + 1, 4): left, right, bottom, top of regions and workspace
-    shades: Ints  # (R + 2, 2): colours of their fill and dashes (-1: none); last, what is outside
+    shades: Ints  # (R + 2, 2): colours of their fill and dashes (-1: none); last, the outside
 
 
 class Near(NamedTuple):
@@ -48,18 +48,18 @@ class Near(NamedTuple):
     wanted: NDArray[np.bool_]  # (P,): whether an edge of a wanted body is near
     item: NDArray[np.int16]  # (P, MAX_LAYERS)
     edge: NDArray[np.int16]  # (P, MAX_LAYERS): the nearest, a column of `FramePlacement.planes`
-    inside: NDArray[np.float32]  # (P, MAX_LAYERS): how far inside that the pixel's centre lies
+    inside: NDArray[np.float32]  # (P, MAX_LAYERS): how far inside that edge the pixel's centre lies
 
 
 class FramePlacement(NamedTuple):
-    """Where everything is on the frame."""
+    """The placement of everything on the frame."""
 
-    frames: Floats  # (bodies + 1, 4): cos, sin (times the scale), x, y; the workspace's last
+    frames: Floats  # (bodies + 1, 4): cos, sin (times the scale), x, y; last, the workspace's
     planes: Floats  # (3, V): each edge's outward normal x and y, and its distance along that
     origins: Floats  # (n, 2): of the polygons' own frames
-    circles: Floats  # (n, 4): as of `Layers`
+    circles: Floats  # (n, 4): as in `Layers`
     to_workspace: Floats  # (4,): a, b, u, v of (a x + b y + u, a y - b x + v)
-    scale: float  # pixels a unit
+    scale: float  # pixels per unit
     size: int
     ego: bool
 
@@ -142,7 +142,7 @@ def _nearest(planes: Floats, first: int, count: int, x: float, y: float) -> int:
 
 @inlined
 def _walk(planes: Floats, first: int, count: int, edge: int, x: float, y: float) -> int:
-    """The same for a regular polygon, searched from an edge that is probably near."""
+    """As `_nearest`, for a regular polygon, searching from an edge that is probably near."""
     least = planes[2, edge] - planes[0, edge] * x - planes[1, edge] * y
     for step in (1, count - 1):
         while True:
@@ -158,7 +158,7 @@ def _walk(planes: Floats, first: int, count: int, edge: int, x: float, y: float)
 def _add(
     near: Near, items: Ints, pixel: int, i: int, edge: int, inside: float, band: float
 ) -> None:
-    """Add to a pixel's list; of the polygons of one part, the one that it lies deepest in."""
+    """Add a polygon to a pixel's list; of one part's polygons, keep the one it lies deepest in."""
     count = near.counts[pixel]
     if count > 0:
         last = count - 1
@@ -178,7 +178,7 @@ def _add(
 def _depths(
     placement: FramePlacement, rectangles: Floats, x: float, y: float, band: float, ground: Floats
 ) -> bool:
-    """How far inside the rectangles on the ground a point lies; whether it is near an edge."""
+    """Set `ground` to a point's depths in the rectangles; returns whether it is near an edge."""
     to = placement.to_workspace
     u, v = to[0] * x + to[1] * y + to[2], to[0] * y - to[1] * x + to[3]
     near = False
@@ -200,12 +200,13 @@ def _explain(
     label: int,
     band: float,
 ) -> int:
-    """Which layer gave a pixel its colour: an index in its list, then in `ground`.
+    """The layer that gave a pixel its colour.
 
-    An explanation costs the squares of the distances by which edges must move for it.
+    The cost of an explanation is the sum of the squared distances by which edges must move for it.
 
     Returns:
-        -1 where no layer, or more than one, explains the colour.
+        An index into the pixel's list, then into `ground`, then the outside; or -1 if no layer,
+        more than one layer, or a dash explains the colour.
     """
     items, shades = layers.items, layers.shades
     best = second = math.inf
@@ -252,7 +253,7 @@ def _read_pixels(
     numbers: NDArray[np.int32],
     margins: Floats,
 ) -> int:
-    """Explain the pixels near wanted edges, tile by tile, and empty the lists."""
+    """Explain the pixels near wanted edges, tile by tile, and empty their lists."""
     size, rectangles, rows = placement.size, layers.rectangles, 0
     ground, room = np.empty(len(rectangles)), len(margins) - MAX_LAYERS - len(rectangles)
     across = (size + TILE - 1) // TILE
@@ -300,9 +301,9 @@ def compiled_search() -> Callable[..., int]:
     ) -> int:
         """Write the statements to `numbers` and `margins`; returns how many.
 
-        `numbers` are a polygon's number or -1 - that of a rectangle, the edge's column in `planes`,
-        the pixel, and 1 or -1 for inside or outside. `placement` is a result too; the counts of
-        `near` are 0 before and after.
+        The rows of `numbers` are the polygon's number, or -1 minus the rectangle's; the edge's
+        column in `planes`; the pixel; and 1 or -1 for inside or outside. `placement` is filled in
+        too; the counts in `near` are 0 before and after.
         """
         items = layers.items
         _place(bodies, placement)

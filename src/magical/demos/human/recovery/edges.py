@@ -1,9 +1,9 @@
-"""What the pixels of a recorded frame say about the edges of the polygons in it.
+"""Evidence about the edges of polygons, from the pixels of a recorded frame.
 
-Every pixel centre lies inside or outside every polygon. Given roughly known poses and a pixel's
+Every pixel centre lies inside or outside every polygon. Given approximate poses and a pixel's
 recorded colour, `EdgeFinder` finds the layer that most plausibly gave the colour: the pixel's
 centre must lie inside this layer's polygon and outside all polygons in front of it. Each such
-statement about an edge nearby is one row of `Edges`: by how much the poses fulfil it, and how that
+statement about a nearby edge is one row of `Edges`: by how much the poses satisfy it, and how that
 changes with the bodies' poses.
 """
 
@@ -40,26 +40,26 @@ from magical.scene.vocabulary import View
 class Edges(NamedTuple):
     """N statements about edges near pixel centres.
 
-    `margin` is the distance of a pixel's centre from an edge, positive where the poses fulfil the
-    statement. The other arrays hold its derivatives, in pixels per unit or radian.
+    `margin` is the distance of a pixel's centre from an edge, positive if the poses satisfy the
+    statement. The arrays after it hold its derivatives, in pixels per unit or radian.
     """
 
-    anchor: NDArray[np.int64]  # (N,): row of the body that the polygon stands on; -1: the ground
+    anchor: NDArray[np.int64]  # (N,): row of the body that the polygon moves with; -1: the ground
     turn: NDArray[np.int64]  # (N,): row of the body that it turns with; -1: the ground
     margin: NDArray[np.float64]  # (N,): pixels
-    x: NDArray[np.float64]  # (N,): by the anchor's x, or by minus the camera's
+    x: NDArray[np.float64]  # (N,): with respect to the anchor's x, or to minus the camera's
     y: NDArray[np.float64]  # (N,): the same for y
     anchor_angle: NDArray[np.float64]  # (N,)
-    turn_angle: NDArray[np.float64]  # (N,): 0 where it is the anchor that the polygon turns with
-    camera_angle: NDArray[np.float64]  # (N,): by the angle of the camera, 0 in allocentric frames
+    turn_angle: NDArray[np.float64]  # (N,): 0 if the polygon turns with its anchor
+    camera_angle: NDArray[np.float64]  # (N,): by the camera's angle; 0 in allocentric frames
 
 
 class EdgeFinder:
-    """Finds edges in recorded frames of one scene and view, with one sample a pixel.
+    """Finds edges in recorded frames of one scene and view, with one sample per pixel.
 
     Args:
-        scene: which bodies and regions there are; its poses are not used, except the regions'.
-        view: the camera's.
+        scene: the scene's bodies and regions; only the regions' poses are used.
+        view: the view of the frames.
     """
 
     def __init__(self, scene: Scene, view: View) -> None:
@@ -68,17 +68,17 @@ class EdgeFinder:
         self._palette, self._layers = _layers(display_list(scene))
 
     def label(self, frame: NDArray[np.uint8]) -> Labels:
-        """Name every pixel's colour.
+        """Label every pixel with its colour.
 
         Args:
             frame: (384, 384, 3).
 
         Returns:
             (384, 384) uint8, lowest row first: numbers of the scene's colours, and
-            `edge_search.MIXED` for any other colour, as smoothed lines have it.
+            `edge_search.MIXED` for any other colour, such as in antialiased lines.
 
         Raises:
-            RenderError: a frame of another shape.
+            RenderError: the frame has another shape.
         """
         if frame.shape != (SIZE, SIZE, 3):
             raise RenderError(f"expected a frame {SIZE} across, found {frame.shape}")
@@ -93,12 +93,12 @@ class EdgeFinder:
 
         Args:
             bodies: (5 + blocks, 3), the poses in the rows of `Poses`.
-            labels: a frame's, from `label`.
-            band: pixels.
-            wanted: (5 + blocks,), the bodies whose edges matter.
+            labels: a frame's labels, from `label`.
+            band: largest distance in pixels.
+            wanted: (5 + blocks,), true for the bodies whose edges matter.
 
         Raises:
-            RenderError: the poses are not finite, or not one for each body.
+            RenderError: the poses are not one for each body, or not finite and within `FURTHEST`.
         """
         if bodies.shape != (self._bodies, 3) or not np.abs(bodies).max() <= FURTHEST:
             raise RenderError(f"expected {self._bodies} finite poses within {FURTHEST:g} units")
@@ -121,7 +121,7 @@ class EdgeFinder:
     def _edges(
         self, numbers: NDArray[np.int32], margins: Floats, placement: FramePlacement
     ) -> Edges:
-        """The derivatives of the statements found by `edge_search.compiled_search`."""
+        """The statements found by `edge_search.compiled_search`, with their derivatives."""
         item, edge, pixel, sign = numbers
         frames, planes, origins = placement.frames, placement.planes, placement.origins
         x, y = pixel % SIZE + 0.5, pixel // SIZE + 0.5
@@ -153,7 +153,7 @@ class EdgeFinder:
     def _ground_normals(
         self, rectangle: NDArray[np.int32], x: Floats, y: Floats, workspace: Floats
     ) -> tuple[Floats, Floats]:
-        """The outward normals, on the frame, of the rectangles' edges nearest to points."""
+        """The outward normals, on the frame, of the rectangle edges nearest to the points."""
         cos, sin, x0, y0 = workspace
         square, dx, dy = cos * cos + sin * sin, x - x0, y - y0
         u, v = (cos * dx + sin * dy) / square, (cos * dy - sin * dx) / square
@@ -166,7 +166,7 @@ class EdgeFinder:
 
 @cache
 def _compiled_label() -> Callable[..., None]:
-    """The entry point that names the colours of a frame's pixels."""
+    """The entry point that labels a frame's pixels by colour."""
 
     @entry_point
     def label(frame: NDArray[np.uint8], palette: NDArray[np.int32], labels: Labels) -> None:
@@ -187,7 +187,7 @@ def _compiled_label() -> Callable[..., None]:
 
 
 def _layers(shown: DisplayList) -> tuple[NDArray[np.int32], Layers]:
-    """The colours of everything in a scene, packed, in order; and its layers."""
+    """The packed colours in a scene, in ascending order, and its layers."""
     count, regions = len(shown.items), shown.colours[:0:-1].ravel()  # uppermost first
     colours = np.concatenate([shown.items[:, 4], regions, [lanes(WHITE), lanes(OUTSIDE)]])
     packed = colours & 0xFF | colours >> 8 & 0xFF00 | colours >> 16 & 0xFF0000
@@ -204,13 +204,13 @@ def _layers(shown: DisplayList) -> tuple[NDArray[np.int32], Layers]:
 
 
 def _parts(shown: DisplayList) -> NDArray[np.int64]:
-    """Numbers the parts: successive polygons of one colour in one place are one shape."""
+    """Part numbers: successive polygons of one colour in one place form one shape."""
     keys = np.concatenate([shown.items[:, 2:], shown.offsets], axis=1)
     return np.cumsum([0, *(keys[1:] != keys[:-1]).any(axis=1)])
 
 
 def _circles(points: Floats) -> tuple[float, float, float, float]:
-    """A polygon's centre, and the radii of the circles about it inside and around."""
+    """A polygon's centre, and the radii of the inner and outer circles about it."""
     centre = points.mean(axis=1, keepdims=True)
     dx, dy = np.roll(points, -1, axis=1) - points
     x, y = centre - points
@@ -220,7 +220,7 @@ def _circles(points: Floats) -> tuple[float, float, float, float]:
 
 @cache
 def _working_memory() -> tuple[Near, NDArray[np.int32], Floats]:
-    """What `edge_search.compiled_search` works in, and what it writes its result to."""
+    """Scratch and result arrays of `edge_search.compiled_search`."""
     pixels, rows = SIZE * SIZE, 4 * SIZE * SIZE
     near = Near(
         counts=np.zeros(pixels, np.int8),

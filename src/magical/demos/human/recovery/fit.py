@@ -1,10 +1,10 @@
-"""Poses fitted to recorded frames: logistic regression on which side of edges the pixels lie.
+"""Fitting poses to recorded frames: logistic regression on which side of edges pixels lie.
 
-A statement of `edges.Edges` whose margin is m holds with probability 1 / (1 + exp(-m / s)).
-The likelihood of the statements from all views together is maximised by Newton's method, first with
-a softness s of about a pixel and then with ever smaller ones. The hundreds of pixels along an
-outline lie at as many different distances from it, so they determine it to about a hundredth of a
-pixel. The curvature of the likelihood at the end gives the remaining uncertainty.
+A statement in `edges.Edges` with margin m holds with probability 1 / (1 + exp(-m / s)). The joint
+likelihood of the statements from all views is maximised by Newton's method, first with a softness s
+of about one pixel and then with smaller and smaller ones. The hundreds of pixels along an outline
+lie at as many different distances from it, so they determine it to about a hundredth of a pixel.
+The curvature of the likelihood at the end gives the remaining uncertainty.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -21,29 +21,29 @@ from magical.scene.constants import RAW_FRAME_SIZE
 from magical.scene.poses import EYES, FIRST_BLOCK, ROBOT
 
 PIXEL = VIEW_WIDTH / RAW_FRAME_SIZE  # units
-MAX_STEP = 0.1  # units or radians in one iteration
-CONVERGED = 0.3  # of the softness: a step below it ends a stage
-RIDGE = 1.0  # per square unit or radian: for what no pixel determines
+MAX_STEP = 0.1  # units or radians per iteration
+CONVERGED = 0.3  # times the softness: a smaller step ends a stage
+RIDGE = 1.0  # per square unit or square radian: regularises poses that no pixel determines
 
 Bodies = NDArray[np.float64]  # (5 + blocks, 3), the poses in the rows of `Poses`
 Array = NDArray[np.float64]
 
 
 class Stage(NamedTuple):
-    """Iterations of one softness."""
+    """Iterations with one softness."""
 
     softness: float  # pixels
     iterations: int  # at most
-    bounded: bool = False  # steps that always improve, for poses that are pixels off
+    bounded: bool = False  # use steps that always improve the fit, for poses that are pixels off
 
     @property
     def band(self) -> float:
-        """How far from edges pixels matter, in pixels."""
+        """Largest distance from an edge, in pixels, at which a pixel matters."""
         return 6.0 * self.softness + 0.2
 
 
 NEAR_STAGES = (Stage(0.8, 3, bounded=True), Stage(0.3, 2), Stage(0.1, 2), Stage(0.03, 4))
-# For first guesses that are up to 15 pixels off.
+# For initial guesses that are up to 15 pixels off.
 FAR_STAGES = (Stage(2.5, 8, bounded=True), *NEAR_STAGES)
 
 
@@ -51,20 +51,20 @@ class Fit(NamedTuple):
     """Fitted poses, and how well the pixels determine them."""
 
     bodies: Bodies
-    deviations: Bodies  # standard deviations of x, y and angle; 0 where they were not fitted
+    deviations: Bodies  # standard deviations of x, y and angle; 0 if not fitted
 
 
 class PoseFitter:
-    """Fits poses of one scene's bodies to the frames of one moment in both views."""
+    """Fits the poses of one scene's bodies to the frames of one time step in both views."""
 
     def __init__(self, scene: Scene) -> None:
         self._finders = {view: EdgeFinder(scene, view) for view in View}
-        self.discs = [  # rows of blocks whose angles cannot be seen
+        self.discs = [  # rows of round blocks, whose angles cannot be seen
             FIRST_BLOCK + i for i, block in enumerate(scene.blocks) if block.shape == Shape.CIRCLE
         ]
 
     def label(self, frames: Mapping[View, NDArray[np.uint8]]) -> dict[View, Labels]:
-        """What `fit` takes, of frames (384, 384, 3) in both views."""
+        """The labels that `fit` takes, from frames (384, 384, 3) in both views."""
         return {view: self._finders[view].label(frames[view]) for view in View}
 
     def fit(
@@ -76,13 +76,13 @@ class PoseFitter:
     ) -> Fit:
         """Fit the poses in the rows `free`.
 
-        The angle of a round block cannot be seen, and stays what it is.
+        The angle of a round block cannot be seen and stays unchanged.
 
         Args:
-            guess: the poses to start from, and those of the other bodies.
-            labels: of the recorded frames.
-            free: rows.
-            stages: as far as the guess may be off.
+            guess: initial poses of the free rows, and fixed poses of the others.
+            labels: labels of the recorded frames, from `label`.
+            free: rows of the poses to fit.
+            stages: `NEAR_STAGES` or `FAR_STAGES`, depending on how far the guess may be off.
         """
         unknown, wanted = np.zeros(guess.shape, np.bool_), np.zeros(len(guess), np.bool_)
         unknown[list(free)] = wanted[list(free)] = True
@@ -114,7 +114,7 @@ def _move(bodies: Bodies, unknown: NDArray[np.bool_], step: Array) -> None:
 def _likelihood(
     edges: Mapping[View, Edges], unknown: NDArray[np.bool_], stage: Stage
 ) -> tuple[Array, Array]:
-    """The slope of the logarithm of the likelihood, and its negated curvature or a bound of it."""
+    """The gradient of the log-likelihood, and its negated Hessian or a bound on that."""
     slope, curvature = np.zeros(unknown.size), np.zeros((unknown.size, unknown.size))
     for view, found in edges.items():
         scaled = np.clip(found.margin / stage.softness, -40.0, 40.0)
@@ -131,7 +131,7 @@ def _likelihood(
 
 
 def _bounds(scaled: Array, wrong: Array) -> Array:
-    """Jaakkola and Jordan's bound of the curvature, with which every step improves.
+    """Jaakkola and Jordan's bound on the curvature, with which every step improves the fit.
 
     Source: Bayesian parameter estimation via variational methods, Statistics and Computing 10
     (2000).
@@ -144,7 +144,7 @@ def _jacobians(edges: Edges, view: View) -> Iterator[tuple[list[int], NDArray[np
     """The derivatives of the margins, one group of statements about the same bodies at a time.
 
     Yields:
-        The columns 3 * row + axis, the statements (n,), and derivatives (n, columns).
+        The columns 3 * row + axis, the statements (n,), and the derivatives (n, columns).
     """
     pairs = 256 * edges.anchor + edges.turn
     order = np.argsort(pairs, kind="stable")

@@ -1,4 +1,4 @@
-"""The poses of a published recording, from frame to frame, and how well they are known."""
+"""Recovering the poses of a published recording, frame by frame, with their uncertainty."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -19,11 +19,11 @@ from magical.scene.poses import EYES, FINGERS, FIRST_BLOCK, ROBOT
 
 LIMIT = 0.005  # share of wrong pixels in one frame, above which poses are not accepted
 TOLERANCE = 8  # grey levels: pixels that differ by more in any channel are wrong
-RETRY = 1e-3  # share of wrong pixels above which other first guesses are tried
+RETRY = 1e-3  # share of wrong pixels above which other initial guesses are tried
 NEARBY = 0.03  # units around a block within which wrong pixels may be due to it
-SIGNIFICANT = 3.0  # standard deviations: a block that seems to have moved by less has not
+SIGNIFICANT = 3.0  # standard deviations: a block that seems to have moved less counts as at rest
 UNSEEN = 0.1  # units or radians: standard deviation of a pose that the pixels do not determine
-GRID = 2.0**-17  # units or radians: poses are rounded to it, far below their uncertainty
+GRID = 2.0**-17  # units or radians: rounding of the poses, far below their uncertainty
 _GROUPS = {
     "robot": slice(ROBOT, ROBOT + 1),
     "fingers": FINGERS,
@@ -39,13 +39,13 @@ Mask = NDArray[np.bool_]  # (384, 384)
 
 @dataclass(frozen=True, slots=True)
 class Recovery:
-    """What was recovered from the T + 1 frames of a recording, or from the first N of them."""
+    """The poses recovered from the T + 1 frames of a recording, or from the first N of them."""
 
     poses: NDArray[np.float64]  # (N, 5 + blocks, 3)
-    deviations: NDArray[np.float64]  # (N, 5 + blocks, 3): standard deviations; 0 where unchanged
+    deviations: NDArray[np.float64]  # (N, 5 + blocks, 3): standard deviations; 0 if unchanged
     wrong: NDArray[np.float64]  # (N,): share of pixels that differ by more than `TOLERANCE`
-    unseen: int  # poses that were kept because no pixel determined them, over all frames
-    problem: str | None = None  # why the poses are not to be used
+    unseen: int  # number of poses kept because no pixel determined them, over all frames
+    problem: str | None = None  # why the poses must not be used
 
     def metadata(self) -> dict[str, Any]:
         """Plain data for a trajectory's metadata."""
@@ -61,7 +61,7 @@ class Recovery:
         }
 
     def _deviation(self, rows: slice) -> dict[str, float]:
-        """The 95th percentile over what was fitted, in units and radians."""
+        """95th percentiles over the fitted values, in units and radians."""
         fitted = self.deviations[:, rows]
         parts = {"position": fitted[..., :2].max(axis=-1), "angle": fitted[..., 2]}
         return {
@@ -71,7 +71,7 @@ class Recovery:
 
 
 def recover(demonstration: PublishedDemonstration) -> Recovery:
-    """Recover the poses of all bodies at every time step; stops at a frame that fits nowhere."""
+    """Recover the poses of all bodies at every time step, up to a frame that no poses explain."""
     tracker = Tracker(demonstration.env_id.task_spec.demo)
     moments = [tracker.start(demonstration.frames(0))]
     for time, action in enumerate(demonstration.actions.tolist(), 1):
@@ -94,7 +94,7 @@ def recovered_trajectory(
     """The trajectory of the recovered poses, or of the averaged frames if that was not possible.
 
     The metadata says how well the poses are known, or why they are missing. With `keep_frames` the
-    averaged frames are beside the poses.
+    averaged frames are kept along with the poses.
     """
     recovery = recover(demonstration)
     metadata: Mapping[str, Any] = {RECOVERY: recovery.metadata()}
@@ -122,20 +122,20 @@ def _problem(wrong: NDArray[np.float64]) -> str | None:
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """What was recovered from the frames of one time step."""
+    """The poses recovered from the frames of one time step."""
 
-    bodies: Bodies  # in the rows of `Poses`
-    deviations: Bodies  # standard deviations; 0 for what kept its pose
+    bodies: Bodies  # poses, in the rows of `Poses`
+    deviations: Bodies  # standard deviations; 0 for poses that were kept
     wrong: float  # share of pixels in both views that differ by more than `TOLERANCE`
     unseen: int  # bodies that kept their poses because the pixels do not determine them
 
 
 class Tracker:
-    """Recovers the poses of one episode, which starts in `scene`, at rest.
+    """Recovers the poses of one episode, which starts at rest in `scene`.
 
-    Bodies are simulated from one time step to the next for a first guess; what is recovered depends
-    on the frames alone, up to the precision that they allow. A body that no pixel says anything
-    new about keeps its pose.
+    The initial guess for each time step is simulated from the previous one; the recovered poses
+    depend only on the frames, to the precision that these allow. A body about which the pixels
+    say nothing new keeps its pose.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -150,13 +150,13 @@ class Tracker:
         self._frames: ViewFrames = {}
 
     def start(self, frames: ViewFrames) -> Moment:
-        """The first time step: the scene's own poses."""
+        """The first time step: the scene's initial poses."""
         self._frames = frames
         bodies = self._bodies
         return Moment(bodies, np.zeros_like(bodies), self._share(bodies, frames), 0)
 
     def follow(self, action: int, frames: ViewFrames) -> Moment:
-        """The next time step, which an action led to."""
+        """The next time step, reached by an action."""
         predicted = self._follower.predict(action)
         discs = self._fitter.discs
         predicted[discs, 2] = self._bodies[discs, 2]
@@ -170,7 +170,7 @@ class Tracker:
         return Moment(fit.bodies, fit.deviations, self._share(fit.bodies, frames), unseen)
 
     def _fit(self, predicted: Bodies, frames: ViewFrames) -> Fit:
-        """The best fit from some first guesses, the simulated one first."""
+        """The best fit from several initial guesses, the simulated one first."""
         labels = self._fitter.label(frames)
         guess = np.concatenate([predicted[:FIRST_BLOCK], self._bodies[FIRST_BLOCK:]])
         moved = list(self._blocks_near(self._wrong(View.ALLO, guess, frames)))
@@ -185,7 +185,7 @@ class Tracker:
         return best
 
     def _keep(self, fit: Fit) -> int:
-        """Give bodies their last poses where the frames do not tell; the number of unseen ones."""
+        """Keep the last poses of unseen bodies and of blocks at rest; returns the number unseen."""
         before, bodies, deviations = self._bodies, fit.bodies, fit.deviations
         bodies[:] = np.where(deviations > 0.0, np.round(bodies / GRID) * GRID, bodies)
         unseen = (deviations > UNSEEN).any(axis=1)
@@ -213,4 +213,4 @@ class Tracker:
         rendered, recorded = self._rendered, frames[view]
         self._renderers[view].render(bodies, rendered)
         wrong = np.maximum(rendered, recorded) - np.minimum(rendered, recorded) > TOLERANCE
-        return wrong[..., 0] | wrong[..., 1] | wrong[..., 2]  # `any` takes ten times as long
+        return wrong[..., 0] | wrong[..., 1] | wrong[..., 2]  # `any` is ten times slower
