@@ -208,16 +208,15 @@ class ExpertData:
     ) -> Tensor:
         """Frame stacks of samples, transformed and augmented: (B, C, H, W) float32 in [0, 1].
 
-        Without `transformed`, every `together` consecutive ones share augmentation parameters.
+        Every `together` consecutive ones share augmentation parameters.
         """
-        if transformed is None:
-            return augment(self.images(rows), which, rng, together)
+        transformed = transformed or StackTransformations.none(len(rows))
         images = self.images(rows, transformed.newest_only)
         mirrored = self._index(transformed.mirrored)
         images[mirrored] = images[mirrored].flip(-1)
         if transformed.palettes.any():
             images = permute_palette(images, transformed.palettes)
-        return augment(images, which, rng)
+        return augment(images, which, rng, together)
 
     def neighbours(self, rows: Rows, offsets: Rows) -> tuple[Rows, NDArray[np.bool_]]:
         """Samples at offsets (K,) from the given ones, and whether each exists: both (B, K).

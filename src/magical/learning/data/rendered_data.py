@@ -116,7 +116,7 @@ class RenderedExpertData(ExpertData):
         transformed: StackTransformations | None = None,
         together: int = 1,
     ) -> Tensor:
-        """See `ExpertData`; `together` also applies with `transformed`."""
+        """See `ExpertData`."""
         transformed = transformed or StackTransformations.none(len(rows))
         channels, height, width = self.spec.network_shape
         parameters = sample_parameters(len(rows), which, rng, together)
