@@ -44,7 +44,7 @@ _REPLACED = {
 def __getattr__(name: str) -> NoReturn:
     if name in _REPLACED:
         raise ImportError(
-            f"magical.{name} is of the published package; use {_REPLACED[name]} "
+            f"magical.{name} belongs to the published package; use {_REPLACED[name]} "
             "(docs/from-the-published-package.md)"
         )
     raise AttributeError(f"module 'magical' has no attribute {name!r}")

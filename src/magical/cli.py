@@ -98,7 +98,7 @@ class _PublishedOption(argparse.Action):
     """The only option of the published package, whose `python -m magical` was for playing."""
 
     def __call__(self, parser: argparse.ArgumentParser, *args: Any, **kwargs: Any) -> NoReturn:
-        parser.error("--env-name is of the published package; use `magical play --env ID`")
+        parser.error("--env-name is of the published package only; use `magical play --env ID`")
 
 
 def _import_modules(argv: Sequence[str] | None) -> list[str]:

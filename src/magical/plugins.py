@@ -243,8 +243,8 @@ def require_known_module(name: str, what: str) -> None:
     if not colon or known:
         return
     raise PluginError(
-        f"{what} names {quoted(name)}, of a module that is not installed; if you trust it, import "
-        "it first: magical --import MODULE or FILE.py before the command"
+        f"{what} names {quoted(name)}, from a module that is not installed; if you trust it, "
+        "import it first: magical --import MODULE or FILE.py before the command"
     )
 
 

@@ -71,7 +71,7 @@ def test_replay_says_how_many_got_the_recorded_score(
     assert [one["agrees"] for one in result["replays"]] == [False, False, True]
     assert sum(mean["agree"] for mean in result["environments"]) == 1
     assert main(["demos", "replay", str(tmp_path / "other")]) == 0
-    assert "1 of 3 replays got the recorded score" in capsys.readouterr().out
+    assert "1 of 3 replays reproduced the recorded score" in capsys.readouterr().out
 
 
 def test_replay_skips_damaged_files(

@@ -134,9 +134,9 @@ def test_repeated_demonstrations_are_reported_and_a_series_can_go_on(
     capsys.readouterr()
     argv = ["demos", *map(str, arguments), str(tmp_path / "d")]
     assert main([*argv, "--first", "2"]) == 0
-    assert "that equal earlier ones" not in capsys.readouterr().err
+    assert "that duplicate earlier ones" not in capsys.readouterr().err
     assert [e.seed for e in Dataset.open(tmp_path / "d").entries] == [
         episode_seed(0, k) for k in range(4)
     ]
     assert main(argv) == 0
-    assert "demonstrations that equal earlier ones: 2" in capsys.readouterr().err
+    assert "demonstrations that duplicate earlier ones: 2" in capsys.readouterr().err

@@ -147,7 +147,7 @@ def test_one_command_writes_an_entry_that_ranks(
     ("argv", "message"),
     [
         ([], "expected learned_from in the details"),
-        (["--learned-from", "magic"], "'magic' is no source"),
+        (["--learned-from", "magic"], "'magic' is not a source"),
         (["--learned-from", "--rollouts", "3"], "3 rollouts of each environment"),
         (["--learned-from", "--variants", "Demo"], "MoveToRegion without Jitter"),
         (["--learned-from", "--horizon", "9"], "horizon 9, expected appendix"),

@@ -189,7 +189,7 @@ def test_horizons(env_ids: list[str], horizon: Any, steps: int) -> None:
             "its own",
         ),
         ({"env_ids": []}, ValueError, "at least one environment, found none"),
-        ({"env_ids": [f"{DEMO[:-3]}-LoRes4A-v0"]}, ValueError, "stated by observation='LoRes4A'"),
+        ({"env_ids": [f"{DEMO[:-3]}-LoRes4A-v0"]}, ValueError, "set by observation='LoRes4A'"),
         ({"rollouts": 0}, ValueError, "at least 1, found 0"),
         ({"nudge": 1.0}, ValueError, "nudge: expected"),
         ({"seed": -1}, ValueError, "seed: expected at least 0, found -1"),

@@ -82,7 +82,7 @@ def test_what_is_done_is_not_done_again_and_a_changed_plan_runs_what_changed(
     assert inline == []
     execute(planned(("seeds = [0, 1]", "seeds = [1, 2]")), copied)
     assert [run.seed for run in inline] == [2]
-    assert "earlier plan, or of other demonstrations: 1\n" in capsys.readouterr().err
+    assert "an earlier plan or other demonstrations: 1\n" in capsys.readouterr().err
     status = read_status(str(copied))
     assert (status.counts["done"], status.others, status.active) == (2, 1, False)
     inline.clear()
@@ -286,7 +286,7 @@ def test_failed_runs_are_left_only_where_they_are_tried_again(
     record.write_text(record.read_text().replace('"done"', '"failed"'))
     for again, left in ((False, "0:00:00"), (True, "0:01:00")):
         found = forecast.forecast(planned(), copied, retry_failed=again)
-        assert list(found.lines())[1].startswith(f"left, one run at a time: {left}")
+        assert list(found.lines())[1].startswith(f"time left, one run at a time: {left}")
 
 
 def test_a_first_run_that_has_changed_since_is_noticed(
@@ -298,7 +298,7 @@ def test_a_first_run_that_has_changed_since_is_noticed(
     assert execute(runs[:1], out).counts["done"] == 1
     shutil.copy(other / "checkpoint.safetensors", first)
     for some in (runs, runs[:1]):  # one waits; all are done
-        with pytest.raises(ResultsError, match=f"another checkpoint of {first} than there is now"):
+        with pytest.raises(ResultsError, match=f"a different checkpoint of {first}"):
             execute(some, out)
     shutil.rmtree(first)
     assert execute(runs[:1], out).complete

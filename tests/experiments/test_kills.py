@@ -49,7 +49,7 @@ def test_sigterm_leaves_a_checkpoint_and_exits_130(
         process.send_signal(signal.SIGTERM)
         assert process.wait(TIMEOUT) == 130
         assert process.stderr is not None
-        assert "the same command continues" in process.stderr.read()
+        assert "run the same command again" in process.stderr.read()
     assert (folder / "checkpoint.safetensors").is_file()
     status = read_status(out)
     assert not status.active

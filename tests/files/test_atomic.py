@@ -27,8 +27,8 @@ def test_a_file_appears_whole_in_a_new_folder(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("path", "what"),
     [
-        ("link/x.json", "link: expected a folder, found a symbolic link to nothing"),
-        ("link/a/b/x.json", "link: expected a folder, found a symbolic link to nothing"),
+        ("link/x.json", "link: expected a folder, found a broken symbolic link"),
+        ("link/a/b/x.json", "link: expected a folder, found a broken symbolic link"),
         ("file/x.json", "file: expected a folder, found a file"),
     ],
 )

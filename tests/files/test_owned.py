@@ -30,7 +30,7 @@ def test_a_new_and_an_empty_folder_are_created(tmp_path: Path) -> None:
 
 def test_the_lock_is_refused_to_another(tmp_path: Path) -> None:
     with owned(tmp_path / "x").locked():
-        message = rf"x: process {os.getpid()} already trains this; wait for its end, or stop it"
+        message = rf"x: process {os.getpid()} already trains this; wait for it to end, or stop it"
         with pytest.raises(RunFolderError, match=message):
             create(tmp_path / "x")
     create(tmp_path / "x")

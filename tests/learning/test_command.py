@@ -31,7 +31,7 @@ def test_train_stop_resume(demos: Path, tmp_path: Path, capsys: pytest.CaptureFi
     assert {"loss", "accuracy", "samples_per_second", "run"} <= set(summary)
     assert f"to continue: magical train bc --out {out} --resume" in captured.err
     assert main(["train", "bc", "--out", str(out), "--resume"]) == 0
-    assert "finished; magical evaluate" in capsys.readouterr().err
+    assert "finished; to evaluate: magical evaluate" in capsys.readouterr().err
     assert main(["train", "dagger", "--out", str(out), "--resume"]) == 2
     assert "expected a run of dagger, found one of bc" in capsys.readouterr().err
     assert main(bc(demos, out, "--resume")) == 0
@@ -71,7 +71,7 @@ def test_a_damaged_checkpoint_is_named_and_the_previous_one_resumed(
     assert main([*resume, "--previous-checkpoint"]) == 0
     assert "finished" in capsys.readouterr().err
     assert main(bc(demos, tmp_path / "new", "--previous-checkpoint")) == 2
-    assert "is for --resume" in capsys.readouterr().err
+    assert "needs --resume" in capsys.readouterr().err
 
 
 def test_errors_say_what_to_do_and_have_status_1(

@@ -231,7 +231,7 @@ def test_which_networks_are_pretrained(timm: FakeTimm) -> None:
 
 @pytest.mark.parametrize("name", ["huge", "tiny.other", "hf_hub:somebody/model"])
 def test_an_unknown_model(timm: FakeTimm, name: str) -> None:
-    expected = "tiny.tag are some" if name.startswith("tiny") else "list_models"
+    expected = "such as tiny.tag" if name.startswith("tiny") else "list_models"
     with pytest.raises(UnknownNameError, match=f"timm 1.0 has no such model .*{expected}"):
         find_network(f"timm:{name}")
 
@@ -241,7 +241,7 @@ def test_weights_that_cannot_be_loaded(timm: FakeTimm, monkeypatch: pytest.Monke
         raise OSError("no connection")
 
     monkeypatch.setattr(timm, "create_model", fail)
-    with pytest.raises(PluginError, match=r"timm:tiny.tag.*no connection; where there is a conn"):
+    with pytest.raises(PluginError, match=r"timm:tiny.tag.*no connection; with internet access"):
         find_network("timm:tiny.tag").make_convolutions(12, True)
 
 

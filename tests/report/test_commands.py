@@ -23,7 +23,7 @@ def test_clips_of_nothing_are_an_error(
     assert "expected a run folder or one of" in error
     assert "mine on MoveToRegion" in page.read_text()
     assert cli.main([*argv, str(tmp_path / "page.csv")]) == 2
-    assert "--clips is for a page" in capsys.readouterr().err
+    assert "--clips needs a page" in capsys.readouterr().err
     policy = {"policy": "noop"}
     folder = write_entry("b", "noop", {"MoveToRegion-Demo": [0.0]}, details=policy)
     assert cli.main(["report", str(folder), "--clips", "2", "--out", str(page)]) == 0

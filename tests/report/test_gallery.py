@@ -122,7 +122,7 @@ def test_a_task_of_ones_own_appears(
     assert report["bytes"] == written
     text = html.unescape((tmp_path / "index.html").read_text())
     assert text.count("There is no scripted expert.") == len(ids)
-    assert "The robot's centre inside a region: 1, otherwise 0" in text
+    assert "The robot in a region: 1 if its centre is inside one, otherwise 0" in text
     assert not (tmp_path / "rollouts").exists()
 
 

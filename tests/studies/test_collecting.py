@@ -217,7 +217,7 @@ def test_runs_that_are_no_longer_the_plans_count_nowhere(
     (skipped,) = search_results([out]).skipped
     assert (skipped.folder.name, skipped.reason) == (
         second,
-        "not a run of the plan, but of an earlier one",
+        "not a run of the current plan, but of an earlier one",
     )
 
 

@@ -109,6 +109,6 @@ def test_runs_of_a_row_learned_from_the_same_sources(
     assert (len(row.means), row.learning_class) == (2, "P")
     assert row.statements == ("10 (human); 25 (expert)", 5)
     assert rejected.reasons == [
-        "learned from demonstrations, simulator, but of the same method "
-        f"{tmp_path / '0'} demonstrations"
+        f"learned from: demonstrations, simulator, but {tmp_path / '0'} of the same method has "
+        "demonstrations"
     ]

@@ -187,7 +187,7 @@ def test_without_attributes_an_instruction_is_the_same_in_every_colour(task: Tas
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("Each(WithColour('pink'), InRegion())", "WithColour, colour: 'pink' is no colour"),
+        ("Each(WithColour('pink'), InRegion())", "WithColour, colour: 'pink' is not a colour"),
         ("Each(InRegion(), InRegion())", "Each, selection: expected a selection, found"),
         ("Each(AllBlocks())", r"Each\(AllBlocks\(\)\)'.*missing 1 required"),
         ("Some(AllBlocks(), InRegion())", "Some is unknown; expected one of: AllBlocks,"),

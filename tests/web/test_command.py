@@ -50,7 +50,9 @@ def test_a_server_that_others_reach_says_what_they_can_read(
     for host, is_said in (("127.0.0.1", False), ("0.0.0.0", True)):
         assert cli.main(["play", "--host", host, "--port", "0"]) == 0
         said = capsys.readouterr().err
-        assert all((words in said) is is_said for words in ("in clear", "HTTPS", "--allow-host"))
+        assert all(
+            (words in said) is is_said for words in ("in the clear", "HTTPS", "--allow-host")
+        )
 
 
 def test_an_address_that_is_in_use_is_an_error(capsys: pytest.CaptureFixture[str]) -> None:

@@ -137,7 +137,7 @@ def test_policies_with_memory_are_watched_side_by_side_without_probabilities(
         for action, (driver, episode) in zip(actions, pairs, strict=True):
             assert driver.propose(*episode.seen) == Proposal(action)
             episode.step(action, driver.actor, action)
-    with pytest.raises(PolicyError, match="found one that remembers the episode"):
+    with pytest.raises(PolicyError, match="found one with a memory"):
         episode_probabilities(policies.load(1), alone[0])
 
 

@@ -129,7 +129,7 @@ def test_a_silent_page_pauses_the_episode() -> None:
     clocked.now += SILENCE_TIME + 0.1
     clocked.session.advance(clocked.now)
     assert (clocked.phase, clocked.steps) == (Phase.PAUSED, 1)
-    assert "did not answer" in clocked.status["notice"]
+    assert "did not respond" in clocked.status["notice"]
 
 
 def test_sessions_become_idle_without_keys() -> None:

@@ -196,10 +196,10 @@ def test_a_page_that_is_only_looked_on_takes_no_environment(
 def test_watching_taking_over_and_handing_back_with_keys(tab: Tab, dataset: Path) -> None:
     choose(tab, "who", "0")
     tab.wait_for("latest.policy === 0 && latest.steps > 2")
-    assert text_of(tab, "acting").startswith("expert acts")
+    assert text_of(tab, "acting").startswith("expert is acting")
     tab.key("ArrowLeft", down=True)
     tab.wait_for("latest.executed?.join() === 'left'")
-    assert text_of(tab, "acting").startswith("You act")
+    assert text_of(tab, "acting").startswith("You are acting")
     tab.key("ArrowLeft", down=False)
     tab.tap("h")
     tab.wait_for("latest.policy_acts")

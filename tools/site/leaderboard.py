@@ -21,12 +21,12 @@ def pages(board: Leaderboard) -> dict[str, str | bytes]:
 def _parts(board: Leaderboard) -> Iterator[str]:
     yield (
         "# Leaderboard\n\nMethods by their mean score on TestAll, beside the generalisation gap "
-        "(Demo less TestAll), with 95% intervals over training runs, or over rollouts where there "
+        "(Demo minus TestAll), with 95% intervals over training runs, or over rollouts where there "
         "is one run. Entries are those of the [studies](studies/README.md) and those that were "
-        "[submitted](entries/README.md) and accepted: they keep [the protocol](protocol.md), and a "
-        "sample of their rollouts was run again. A reference learned nothing and sees the true "
-        "state; it takes no rank. Methods with a prior made for this benchmark are ranked apart; "
-        "†: test variants had been evaluated while the method was designed."
+        "[submitted](entries/README.md) and accepted: they follow [the protocol](protocol.md), and "
+        "a sample of their rollouts was rerun. A reference learned nothing and sees the true "
+        "state; it is not ranked. Methods with a prior made for this benchmark are ranked "
+        "separately; †: test variants had been evaluated while the method was designed."
     )
     classes = ((name, SOURCES[source]) for name, source in CLASSES.items())
     yield table(("Class", "What it may use"), classes)

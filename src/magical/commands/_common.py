@@ -20,13 +20,15 @@ Value = TypeVar("Value")
 def add_json(parser: argparse.ArgumentParser) -> None:
     """Add `--json`: the last line of standard output is one JSON object."""
     parser.add_argument(
-        "--json", action="store_true", help="end standard output with one line of JSON"
+        "--json",
+        action="store_true",
+        help="print a JSON object as the last line of standard output",
     )
 
 
 def add_tasks(parser: argparse.ArgumentParser, default: str = "all") -> None:
     """Add `--task A B`; `args.task` is a list of names, or `None` for the default."""
-    meaning = f"or module:TASK (default: {default})"
+    meaning = f"tasks, by name or as module:TASK (default: {default})"
     add_several(parser, "--task", meaning, "TASK", kind=task_name)
 
 
@@ -115,12 +117,12 @@ def add_seed(parser: argparse.ArgumentParser, meaning: str) -> None:
 
 def add_rollouts(parser: argparse.ArgumentParser) -> None:
     """Add `--rollouts N`, the number of rollouts on each variant."""
-    add_count(parser, "--rollouts", "on each variant", default=100)
+    add_count(parser, "--rollouts", "rollouts on each variant", default=100)
 
 
 def add_workers(parser: argparse.ArgumentParser) -> None:
     """Add `--workers N`; `args.workers` is `None` for the number of cores."""
-    add_count(parser, "--workers", "processes (default: the cores)", least=0)
+    add_count(parser, "--workers", "worker processes (default: one per core)", least=0)
 
 
 def add_out(

@@ -30,7 +30,7 @@ from magical.envs import EnvId, parse_env_id
 from magical.observe import make_spec
 from magical.scene.actions import NUM_ACTIONS
 
-HELP = "measure steps per second, or the speed of training"
+HELP = "measure environment steps per second, or training speed"
 DEFAULT_ENV = "magical/ClusterColour-Demo-LoRes4E-v0"
 WARM_UP = 5  # steps before anything is measured: caches, compilation
 PROBE = 20  # steps in the first turns, from which the length of later turns is computed
@@ -42,19 +42,29 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "kind",
         choices=("env", "vector", "training"),
-        help="one environment, many, or forward and backward passes of a network",
+        help="env: one environment; vector: many; training: forward and backward passes",
     )
     parser.add_argument(
-        "--env", default=DEFAULT_ENV, metavar="ID", help=f"env, vector: default {DEFAULT_ENV}"
+        "--env",
+        default=DEFAULT_ENV,
+        metavar="ID",
+        help="env, vector: environment id (default: %(default)s)",
     )
-    add_count(parser, "--num-envs", "vector: sub-environments", default=32)
+    add_count(parser, "--num-envs", "vector: number of sub-environments", default=32)
     add_workers(parser)
-    add_number(parser, "--seconds", "env, vector: measuring time", default=15.0, metavar="S")
-    add_seed(parser, "env, vector: of scenes and actions")
-    parser.add_argument("--network", default="paper", help="training: default paper")
-    add_count(parser, "--batch-size", "training: samples a batch", default=32)
+    add_number(
+        parser, "--seconds", "env, vector: seconds to measure for", default=15.0, metavar="S"
+    )
+    add_seed(parser, "env, vector: seed of scenes and actions")
     parser.add_argument(
-        "--device", choices=("auto", "cpu", "cuda"), default="auto", help="training: default auto"
+        "--network", default="paper", help="training: network architecture (default: paper)"
+    )
+    add_count(parser, "--batch-size", "training: samples per batch", default=32)
+    parser.add_argument(
+        "--device",
+        choices=("auto", "cpu", "cuda"),
+        default="auto",
+        help="training: device to compute on (default: auto)",
     )
     add_json(parser)
 
@@ -78,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
         for name, rate in rates.items()
     ]
     print(f"{env_id}, {num_envs} environments, {result['workers']} workers")
-    print_table(("", "steps/s", "us/step a worker", "of bare physics"), rows)
+    print_table(("", "steps/s", "us/step per worker", "relative to bare physics"), rows)
     print(f"{result['frames_per_second']:,.0f} frames/s")
     print_json(args, result)
     return 0
@@ -203,7 +213,7 @@ def _run_training(args: argparse.Namespace) -> int:
         notes = [name for name, one in (("default", default), ("fastest", fastest)) if one == way]
         row = (way.device, way.precision, way.threads or "", f"{speed:,.0f}", " and ".join(notes))
         rows.append(row)
-    print(f"network {args.network}, batches of {args.batch_size}, forward and backward")
+    print(f"network {args.network}, batches of {args.batch_size}, forward and backward passes")
     print_table(("device", "precision", "threads", "samples/s", ""), rows)
     options = f"--precision {fastest.precision}"
     if fastest.threads:

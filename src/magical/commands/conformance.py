@@ -21,14 +21,14 @@ HELP = "compare with recordings of the published environments"
 def configure(parser: argparse.ArgumentParser) -> None:
     """Describe the command's arguments."""
     parser.add_argument(
-        "kind", nargs="?", choices=RECORDINGS, help="what the recordings hold (default: all kinds)"
+        "kind", nargs="?", choices=RECORDINGS, help="kind of recordings (default: all kinds)"
     )
     parser.add_argument(
         "recording",
         nargs="?",
         type=Path,
         metavar="RECORDING",
-        help="a file of that kind (default: those in the package)",
+        help="a recording of that kind (default: those in the package)",
     )
     add_out(parser, "write what was computed for a single recording", "FILE")
     add_json(parser)

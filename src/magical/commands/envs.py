@@ -7,7 +7,7 @@ from magical.envs import all_env_ids
 from magical.observe import PRESETS
 from magical.tasks import TASKS
 
-HELP = "list tasks, variants, horizons"
+HELP = "list tasks, variants and horizons"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

@@ -45,35 +45,38 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "policy",
         metavar="POLICY",
-        help="a run folder, random, noop, expert, the name of a plug-in, LOADER:PATH, module:name, "
+        help="a run folder, random, noop, expert, a plug-in's name, LOADER:PATH, module:name or "
         "file.py:name",
     )
-    add_tasks(parser, "the policy's")
-    add_several(parser, "--variants", "such as Demo Jitter (default: all)", "VARIANT")
+    add_tasks(parser, "the policy's tasks, or all")
+    add_several(parser, "--variants", "variants, such as Demo Jitter (default: all)", "VARIANT")
     add_rollouts(parser)
     parser.add_argument(
         "--horizon",
         type=explained(parse_horizon),
         metavar="STEPS",
-        help="control steps (default: the paper's); `published`: 240 for the Cluster tasks",
+        help="control steps per episode (default: the paper's); `published`: 240 for the Cluster "
+        "tasks",
     )
     meaning = (
-        "shift initial poses by up to X units and radians, sampled from each rollout's seed; 1e-9 "
-        "averages over what rounding decides"
+        "shift initial poses randomly by up to X units and radians, seeded by the rollout's seed; "
+        "1e-9 averages over effects of rounding"
     )
     add_number(parser, "--nudge", meaning, default=None, most=MAX_NUDGE)
-    add_seed(parser, "which set of fixed seeds")
+    add_seed(parser, "which set of fixed seeds to use")
     parser.add_argument(
-        "--observation", metavar="PRESET", help="default: the policy's own, or LoRes4E"
+        "--observation",
+        metavar="PRESET",
+        help="observation preset (default: the policy's own, or LoRes4E)",
     )
     add_workers(parser)
-    add_out(parser, "write scores.csv and entry.json there")
-    parser.add_argument("--method", metavar="NAME", help="name in tables (default: the policy's)")
+    add_out(parser, "folder to write scores.csv and entry.json to")
+    parser.add_argument("--method", metavar="NAME", help="name in tables (default: POLICY's)")
     parser.add_argument(
         "--leaderboard",
         action="store_true",
-        help="by the leaderboard's protocol: with a nudge of 1e-9, and refused, before anything "
-        "runs, if the entry would not be ranked",
+        help="follow the leaderboard's protocol: use a nudge of 1e-9, and stop before any rollout "
+        "if the entry would not be ranked",
     )
     parser.add_argument(
         "--learned-from",
@@ -81,10 +84,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
         action="extend",
         type=explained(parse_source),
         metavar="SOURCE",
-        help='what the policy learned from, such as demonstrations or "rendered states"; recorded '
-        "for run folders",
+        help='what the policy learned from, such as demonstrations or "rendered states"; not '
+        "needed for run folders, which record it",
     )
-    meaning = "how often test variants were evaluated while the method was designed"
+    meaning = "number of times that test variants were evaluated while the method was designed"
     add_count(parser, "--looks", meaning, least=0)
     add_json(parser)
 
@@ -137,7 +140,7 @@ def _misused(args: argparse.Namespace, policy: "Policy") -> str:
     for option in ("leaderboard", "method", "learned_from", "looks"):
         value = getattr(args, option)
         if not args.out and value is not None and value is not False:
-            return f"--{option.replace('_', '-')} is for the entry that --out writes"
+            return f"--{option.replace('_', '-')} needs --out, which writes the entry"
     return ""
 
 

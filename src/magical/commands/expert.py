@@ -26,10 +26,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Describe the command's arguments."""
     subs = parser.add_subparsers(metavar="COMMAND", required=True)
     evaluate = subs.add_parser("evaluate", help="mean scores over many episodes")
-    add_several(evaluate, "--env", "environments (default: all)", "ID")
+    add_several(evaluate, "--env", "environment ids (default: all)", "ID")
     add_rollouts(evaluate)
-    add_seed(evaluate, "which set of evaluation's seeds")
-    add_number(evaluate, "--skill", "0 to 1", default=1.0, most=1)
+    add_seed(evaluate, "which set of fixed evaluation seeds to use")
+    add_number(evaluate, "--skill", "the experts' skill, 0 to 1", default=1.0, most=1)
     evaluate.add_argument(
         "--takeover",
         action="store_true",

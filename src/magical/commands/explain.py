@@ -18,8 +18,8 @@ HELP = "print which programs explain a run's demonstrations"
 def configure(parser: argparse.ArgumentParser) -> None:
     """Describe the command's arguments."""
     parser.add_argument("folder", type=Path, metavar="RUN", help="a run folder of program-bc")
-    add_count(parser, "--top", "programs to print of each task", default=5)
-    meaning = "scenes of each variant to decide the first move in"
+    add_count(parser, "--top", "programs to print for each task", default=5)
+    meaning = "scenes of each variant to average the confidence over"
     add_count(parser, "--scenes", meaning, default=10, least=0)
     parser.add_argument(
         "--picture",

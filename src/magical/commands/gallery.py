@@ -22,9 +22,9 @@ HELP = "make a static site of the environments"
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Describe the command's arguments."""
-    add_out(parser, "write index.html and images there", required=True)
+    add_out(parser, "folder to write index.html and images to", required=True)
     add_tasks(parser)
-    add_seed(parser, "which scenes are sampled")
+    add_seed(parser, "seed of the scenes")
     add_workers(parser)
     add_json(parser)
 
@@ -50,6 +50,6 @@ def run(args: argparse.Namespace) -> int:
         ("environment", "expert's score"),
         [(name, "–" if score is None else f"{score:.2f}") for name, score in scores.items()],
     )
-    log(f"wrote {args.out / 'index.html'}, {size / 1e6:.1f} MB in all")
+    log(f"wrote {args.out / 'index.html'}, {size / 1e6:.1f} MB in total")
     print_json(args, {"out": str(args.out), "bytes": size, "scores": scores})
     return 0

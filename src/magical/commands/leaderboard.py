@@ -27,9 +27,9 @@ HELP = "rank evaluated entries on a static page"
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Describe the command's arguments."""
-    parser.add_argument("folders", nargs="+", type=Path, metavar="FOLDER", help="entries")
-    add_out(parser, "write index.html and pages there")
-    meaning = "mark methods whose scores you have run again (magical verify)"
+    parser.add_argument("folders", nargs="+", type=Path, metavar="FOLDER", help="folder of entries")
+    add_out(parser, "folder to write index.html and the other pages to")
+    meaning = "mark methods whose rollouts you have rerun (magical verify)"
     add_several(parser, "--rerun", meaning, "METHOD", default=[])
     add_json(parser)
 

@@ -18,26 +18,26 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--env",
         default="magical/MoveToRegion-Demo-v0",
         metavar="ID",
-        help="where players start; they can choose others (default: %(default)s)",
+        help="environment to start with; players can choose others (default: %(default)s)",
     )
     parser.add_argument(
-        "--record", type=Path, metavar="DIR", help="the dataset that kept episodes are added to"
+        "--record", type=Path, metavar="DIR", help="dataset to add kept episodes to"
     )
-    meaning = "datasets to look at; that of --record is always among them"
+    meaning = "datasets to show; that of --record is always included"
     add_several(parser, "--datasets", meaning, "DIR", kind=Path, default=[])
-    meaning = "run folders, or folders with runs in them, whose policies can be watched"
+    meaning = "run folders, or folders that contain runs, whose policies can be watched"
     add_several(parser, "--runs", meaning, "DIR", kind=Path, default=[])
     parser.add_argument(
         "--host",
         default="127.0.0.1",
         metavar="ADDRESS",
-        help="to listen on; anything but the default is reachable from outside, without "
+        help="address to listen on; any but the default can be reached from outside, without "
         "encryption (default: %(default)s)",
     )
-    add_count(parser, "--port", "to listen on; 0 takes a free one", default=8000, least=0)
-    meaning = "other names under which browsers address this server"
+    add_count(parser, "--port", "port to listen on; 0: any free port", default=8000, least=0)
+    meaning = "other host names by which browsers reach this server"
     add_several(parser, "--allow-host", meaning, "NAME", default=[])
-    add_count(parser, "--max-players", "environments at the same time", default=16)
+    add_count(parser, "--max-players", "maximum number of environments at a time", default=16)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -61,9 +61,9 @@ def run(args: argparse.Namespace) -> int:
         log(f"recording into {args.record}" if args.record else "not recording (see --record)")
         if args.host not in LOOPBACK:
             log(
-                "the token and everything else travel in clear: whoever sees the traffic can use "
-                "the server; put a proxy with HTTPS in front of a server on loopback, and name its "
-                "host with --allow-host (docs/play.md), or forward the port with ssh -L"
+                "everything, the token included, is sent in the clear: whoever sees the traffic "
+                "can use the server; instead, listen on loopback behind an HTTPS proxy, and name "
+                "its host with --allow-host (docs/play.md), or forward the port with ssh -L"
             )
         make_server(server.app).run(sockets=[listening])
     return 0

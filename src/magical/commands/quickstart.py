@@ -22,18 +22,18 @@ from magical.commands._common import (
     log,
 )
 
-HELP = "train, evaluate and report, from nothing"
+HELP = "train, evaluate and report, from scratch"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Describe the command's arguments."""
-    add_out(parser, "default: runs/quickstart")
+    add_out(parser, "results folder (default: runs/quickstart)")
     parser.set_defaults(out=Path("runs/quickstart"))
     add_tasks(parser, "MoveToRegion and MoveToCorner")
-    add_seed(parser, "of training")
+    add_seed(parser, "training seed")
     add_rollouts(parser)
-    add_count(parser, "--batches", "of training (default: 2000)")
-    add_count(parser, "--workers", "trainings at a time (default: the cores)")
+    add_count(parser, "--batches", "training batches (default: 2000)")
+    add_count(parser, "--workers", "runs at a time (default: one per core)")
     add_json(parser)
 
 

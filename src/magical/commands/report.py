@@ -30,31 +30,31 @@ HELP = "make a page of tables from evaluated runs"
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Describe the command's arguments."""
-    parser.add_argument("folders", nargs="+", type=Path, metavar="DIR", help="evaluated runs")
+    parser.add_argument("folders", nargs="+", type=Path, metavar="DIR", help="folder with runs")
     meaning = (
-        'rows of the published tables to show below, such as "BC (ST)" (default: those of the '
+        'rows of the published tables to show below, such as "BC (ST)" (default: those with the '
         "methods' names)"
     )
     add_several(parser, "--published", meaning, "METHOD")
     parser.add_argument(
-        "--title", default="MAGICAL: results", help="of the page (default: %(default)s)"
+        "--title", default="MAGICAL: results", help="title of the page (default: %(default)s)"
     )
-    add_out(parser, "write a page, or what --format says, there", "FILE")
+    add_out(parser, "file to write the page to, or the tables in another --format", "FILE")
     parser.add_argument(
         "--format",
         choices=("html", "csv", "markdown", "latex"),
-        help="of FILE (default: by its suffix .html, .csv, .md or .tex)",
+        help="format of FILE (default: by its suffix, .html, .csv, .md or .tex)",
     )
     parser.add_argument(
         "--compare",
         nargs=2,
         metavar=("A", "B"),
-        help="a page on the difference between two methods instead",
+        help="show the difference between two methods instead",
     )
     add_count(
         parser,
         "--clips",
-        "show the best, median and worst rollouts of N runs, recorded again with their policies "
+        "show the best, median and worst rollouts of N runs, rerun with their policies "
         "(default: none)",
     )
     add_json(parser)
@@ -67,14 +67,14 @@ def run(args: argparse.Namespace) -> int:
     from magical.report.pages.export import format_of
 
     if args.format and not args.out:
-        log("error: --format is that of --out FILE")
+        log("error: --format needs --out FILE")
         return USAGE
     kind = args.format or format_of(args.out) if args.out else None
     if args.compare and kind not in (None, "html"):
-        log("error: --compare writes a page: --out FILE.html")
+        log("error: --compare writes HTML only; use --out FILE.html")
         return USAGE
     if args.clips and (args.compare or kind != "html"):
-        log("error: --clips is for a page (--out FILE.html); no rollouts are recorded")
+        log("error: --clips needs a page (--out FILE.html), and excludes --compare")
         return USAGE
     if kind == "html":
         require("report")

@@ -25,39 +25,41 @@ from magical.commands._common import (
 if TYPE_CHECKING:
     from magical.experiments.plan import PlannedRun
 
-HELP = "run a plan of training runs, here or on a Ray cluster"
+HELP = "run a plan of training runs, on this machine or a Ray cluster"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Describe the command's arguments."""
-    parser.add_argument("plan", metavar="PLAN", help="such as quick, or a file's path")
-    add_out(parser, "the results folder (default: runs/ and the plan's name)")
+    parser.add_argument(
+        "plan", metavar="PLAN", help="a plan of this package, such as quick, or a TOML file"
+    )
+    add_out(parser, "results folder (default: runs/NAME, with the plan's name)")
     parser.add_argument(
         "--demos",
         metavar="FOLDER",
-        help="a dataset of demonstrations, or `expert`, in place of the plan's",
+        help="a dataset of demonstrations, or `expert`, instead of the plan's",
     )
     parser.add_argument(
         "--executor",
         choices=("local", "ray"),
         default="local",
-        help="processes on this machine, or tasks of a Ray cluster",
+        help="where to run: in processes on this machine, or as tasks of a Ray cluster",
     )
     parser.add_argument(
         "--address",
         metavar="ADDRESS",
-        help="of a Ray cluster, as ray.init takes it; implies --executor ray (default: the cluster "
-        "that this machine belongs to, or a new one)",
+        help="address of a Ray cluster, as for ray.init; implies --executor ray (default: the "
+        "cluster that this machine belongs to, or a new one)",
     )
-    meaning = "runs at a time on this machine (default: the cores, divided by the threads of a run)"
+    meaning = "runs at a time on this machine (default: number of cores / threads per run)"
     add_count(parser, "--workers", meaning)
-    add_number(parser, "--gpus", "the share of a GPU that Ray reserves for each run")
+    add_number(parser, "--gpus", "share of a GPU that Ray reserves for each run")
     parser.add_argument(
         "--dry-run",
         action="store_true",
-        help="list the runs, what they cost and which are done, and run none",
+        help="list the runs with their estimated time and state, without running any",
     )
-    parser.add_argument("--retry-failed", action="store_true", help="run those that failed again")
+    parser.add_argument("--retry-failed", action="store_true", help="rerun failed runs")
     add_json(parser)
 
 
@@ -66,7 +68,7 @@ def run(args: argparse.Namespace) -> int:
     from magical.experiments.plan import find_plan, planned_references, planned_runs, read_plan
 
     if args.gpus and not (args.address or args.executor == "ray"):
-        log("error: --gpus is for --executor ray")
+        log("error: --gpus needs --executor ray")
         return USAGE
     path = find_plan(args.plan)
     plan = read_plan(path, args.demos)

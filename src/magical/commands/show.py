@@ -14,8 +14,8 @@ HELP = "write an image of a scene"
 def configure(parser: argparse.ArgumentParser) -> None:
     """Describe the command's arguments."""
     parser.add_argument("env_id", metavar="ENV_ID", help="for instance magical/FindDupe-TestAll-v0")
-    add_seed(parser, "which scene is sampled")
-    add_out(parser, "default: the id, slashes replaced, .png", "FILE.png")
+    add_seed(parser, "seed of the scene")
+    add_out(parser, "file to write (default: ENV_ID with - for /, and .png)", "FILE.png")
     add_json(parser)
 
 

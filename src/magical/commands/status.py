@@ -5,7 +5,7 @@ from pathlib import Path
 
 from magical.commands._common import add_json, print_json
 
-HELP = "show how far a plan is"
+HELP = "show the progress of a plan"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

@@ -42,7 +42,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         action=_ParseOptions,
         default=argparse.SUPPRESS,
         metavar="...",
-        help="its options: magical train ALGORITHM --help",
+        help="the algorithm's options: see magical train ALGORITHM --help",
     )
 
 
@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
             save_learning_curves(args.out)
 
     if args.previous_checkpoint and not args.resume:
-        log("error: --previous-checkpoint is for --resume: a new run has no checkpoints")
+        log("error: --previous-checkpoint needs --resume: a new run has no checkpoints")
         return USAGE
     try:
         config = _config(args)
@@ -78,7 +78,7 @@ def run(args: argparse.Namespace) -> int:
     print_json(args, result.summary())
     folder, imports = shlex.quote(str(result.folder)), _imports(config)
     if result.finished:
-        log(f"{result.folder}: finished; magical evaluate {folder}{imports}")
+        log(f"{result.folder}: finished; to evaluate: magical evaluate {folder}{imports}")
         return 0
     again = f"magical train {args.algorithm} --out {folder} --resume{imports}"
     log(f"{result.folder}: stopped at step {result.step}; to continue: {again}")
@@ -124,29 +124,29 @@ def _add_options(parser: argparse.ArgumentParser, algorithm: str) -> None:
 
     kind = find_algorithm(algorithm).config
     parser.description = (kind.__doc__ or "").splitlines()[0]
-    add_out(parser, "the run folder: new or empty", "RUN", required=True)
+    add_out(parser, "run folder, new or empty unless with --resume", "RUN", required=True)
     parser.add_argument(
         "--resume",
         action="store_true",
         default=False,
-        help="continue the run in the folder; its configuration need not be given again",
+        help="resume the run in the folder; its configuration need not be given again",
     )
     parser.add_argument(
         "--previous-checkpoint",
         action="store_true",
         default=False,
-        help="with --resume: drop the newest checkpoint, as when it is damaged, and continue from "
-        "the one before it",
+        help="with --resume: discard the newest checkpoint, for example because it is damaged, "
+        "and resume from the previous one",
     )
     parser.add_argument(
         "--preset",
         choices=tuple(kind.presets),
         default=None,
-        help="values of all options that are not given (default: paper)",
+        help="preset for all options that are not given (default: paper)",
     )
-    add_count(parser, "--stop-after", "leave a checkpoint and stop after N more batches or updates")
+    add_count(parser, "--stop-after", "save a checkpoint and stop after N more batches or updates")
     trackers = f"{{{','.join(tracker_names())}}}"
-    meaning = "log the metrics there too; or module:NAME"
+    meaning = "also log the metrics to these trackers; or module:NAME"
     add_several(parser, "--track", meaning, trackers, default=[])
     add_json(parser)
     parser.set_defaults(json=False)

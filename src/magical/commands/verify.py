@@ -16,18 +16,20 @@ from magical.commands._common import add_count, add_json, add_workers, print_jso
 if TYPE_CHECKING:
     from magical.evaluation.verification import Verification
 
-HELP = "run a sample of an entry's rollouts again"
+HELP = "rerun a sample of an entry's rollouts"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Describe the command's arguments."""
-    parser.add_argument("entry", type=Path, metavar="ENTRY", help="an evaluated run's folder")
+    parser.add_argument("entry", type=Path, metavar="ENTRY", help="folder of an evaluated run")
     parser.add_argument(
-        "--policy", metavar="POLICY", help="as for evaluate (default: what the entry records)"
+        "--policy",
+        metavar="POLICY",
+        help="the policy, as for evaluate (default: the one that the entry records)",
     )
-    meaning = "batches of up to 64 rollouts to run again of each task"
+    meaning = "batches of up to 64 rollouts to rerun for each task"
     add_count(parser, "--rounds", meaning, default=1)
-    add_count(parser, "--seed", "chooses the batches (default: others each time)", least=0)
+    add_count(parser, "--seed", "seed that selects the batches (default: random)", least=0)
     add_workers(parser)
     add_json(parser)
 
@@ -83,7 +85,7 @@ def _verdict(found: "Verification") -> str:
         return f"confirmed: {count}"
     if found.exact:
         return (
-            f"not confirmed: {count}; all should have, unless a network acts and the entry states "
+            f"not confirmed: {count}; all should, unless a network acts and the entry states "
             "another machine or other versions"
         )
     value, low, high = found.mean_changes()[0]
@@ -91,10 +93,10 @@ def _verdict(found: "Verification") -> str:
     elsewhere = "the entry was evaluated on another machine or with other versions"
     if found.confirmed:
         return (
-            f"not contradicted: {count}; {change}, which chance explains, in every environment "
-            f"too; {elsewhere}, where single rollouts may differ"
+            f"not contradicted: {count}; {change}, which chance can explain, as it can the changes "
+            f"in every environment; {elsewhere}, where single rollouts may differ"
         )
     return (
         f"not confirmed: {count}; {change}; this, or the change in an environment, is more than "
-        f"chance explains, or one rollout alone tells nothing, although {elsewhere}"
+        f"chance can explain, or rests on a single rollout; {elsewhere}"
     )

@@ -43,12 +43,13 @@ class MagicalSB3VecEnv(VecEnv):
         if envs.autoreset_mode is not AutoresetMode.SAME_STEP:
             raise ValueError(
                 "Stable-Baselines3 expects autoreset_mode='SameStep', found "
-                f"{envs.autoreset_mode.value!r}; make the vector environment with that"
+                f"{envs.autoreset_mode.value!r}; make the vector environment with "
+                "'SameStep'"
             )
         if not envs.copy:
             raise ValueError(
                 "Stable-Baselines3 keeps observations: expected copy=True, found copy=False; make "
-                "the vector environment with that"
+                "the vector environment with copy=True"
             )
         self.envs = envs
         self._actions: Any = None

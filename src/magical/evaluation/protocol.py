@@ -78,8 +78,8 @@ class Evaluation:
         for env_id in ids:
             if env_id.preset not in (None, observation):
                 raise ValueError(
-                    f"{env_id}: what a policy is shown is stated by observation={env_id.preset!r}, "
-                    "or by the policy, not by the ids of environments"
+                    f"{env_id}: expected an environment id without a preset; the observation is "
+                    f"set by observation={env_id.preset!r}, or by the policy"
                 )
         evaluation = cls(env_ids=tuple(dict.fromkeys(i.without_preset for i in ids)), **settings)
         if observation is not None:

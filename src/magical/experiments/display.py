@@ -110,9 +110,9 @@ def _lines(status: Status) -> Iterable[str]:
     if status.active and left is not None:
         yield f"time left: about {duration(left)}"
     elif not status.active and status.counts[DONE] + len(failed) < len(status.runs):
-        yield "no process is executing the plan; magical run continues it"
+        yield "no process is executing the plan; to continue it: magical run"
 
 
 def _others(status: Status) -> Iterable[str]:
     if status.others:
-        yield f"runs in the folder of an earlier plan, or of other demonstrations: {status.others}"
+        yield f"runs in the folder from an earlier plan or other demonstrations: {status.others}"

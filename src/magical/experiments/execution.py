@@ -128,10 +128,10 @@ class Summary:
         failed = self.counts[FAILED]
         text = f"{self.out}: {self.counts[DONE]} of {self.total} runs done"
         if failed:
-            text += f", {failed} failed (magical status {shlex.quote(str(self.out))} says why; "
-            text += "--retry-failed runs them again)"
+            text += f", {failed} failed (magical status {shlex.quote(str(self.out))} shows why; "
+            text += "--retry-failed reruns them)"
         if self.counts[DONE] + failed < self.total:
-            text += "; the same command continues with the others"
+            text += "; run the same command again to continue with the others"
         return text
 
     def to_dict(self) -> dict[str, Any]:
@@ -238,7 +238,7 @@ def _finish_all(
                 if lost[run] >= TRIES:
                     raise ClusterError(
                         f"the cluster lost a run {TRIES} times, last with: {outcome.error}. No run "
-                        "failed by itself: mend the cluster, then give the same command again"
+                        "failed by itself: repair the cluster, then run the same command again"
                     )
                 waiting.append(run)
             display.ended(run, outcome)

@@ -29,8 +29,8 @@ SECONDS_PER_PREPARED_SAMPLE = 1.2e-3
 SECONDS_PER_STEP = 1 / 7_500
 
 SOURCE = (
-    "estimated from the training speed of the networks, measured just now on this machine, for a "
-    "core that a run has to itself; for a learner without such a network, from what it took "
+    "estimated from the networks' training speed, measured just now on this machine, assuming that "
+    "each run has a core to itself; for learners without such a network, from times measured "
     "elsewhere"
 )
 
@@ -62,7 +62,7 @@ class Forecast:
         counts = ", ".join(f"{number} {state}" for state, number in states.items())
         yield f"{len(self.runs)} runs in {self.out}: {counts}"
         left = sum(seconds for _, seconds, state in self.runs if state not in self.kept)
-        yield f"left, one run at a time: {duration(left)}"
+        yield f"time left, one run at a time: {duration(left)}"
         yield SOURCE
 
     def to_dict(self) -> dict[str, Any]:

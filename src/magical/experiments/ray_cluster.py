@@ -120,7 +120,9 @@ class RayExecutor:
             outcome.set_exception(error)  # caused by the run itself, RETRIES times
         except RayError as error:
             # If this machine's node was lost, Ray ends this process next, so this line is its last.
-            why = f"{printable(str(error), MAX_ERROR)} It is tried again, or by the same command"
+            why = (
+                f"{printable(str(error), MAX_ERROR)} The run is retried, now or by the same command"
+            )
             outcome.set_result(Outcome("lost", error=why))
         except Exception as error:
             outcome.set_exception(error)
@@ -133,7 +135,7 @@ def _cluster_needed() -> Iterator[None]:
         yield
     except (RayError, ConnectionError) as error:
         raise ClusterError(
-            f"the Ray cluster is gone: {printable(str(error), MAX_ERROR)}; give the same command "
+            f"the Ray cluster is gone: {printable(str(error), MAX_ERROR)}; run the same command "
             "again to continue"
         ) from error
 
@@ -167,7 +169,7 @@ def unpack(packed: bytes, folder: Path, only: str | None = None) -> None:
 def _connect(address: str | None, cores: int | None) -> None:
     """Connect to a cluster, or start one on this machine if `cores` are given or none is found."""
     if address and not _answers(address):
-        raise ClusterError(_unreachable(address, f"nothing answers within {TIMEOUT:g} s"))
+        raise ClusterError(_unreachable(address, f"no answer within {TIMEOUT:g} s"))
     with _own_signal_handlers():
         if address is None and cores is None:
             with suppress(ConnectionError):

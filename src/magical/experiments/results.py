@@ -157,7 +157,7 @@ def opened(path: Path, runs: Sequence[PlannedRun]) -> Iterator[Results]:
 
 
 def _owned(path: Path) -> OwnedFolder:
-    written, then = (EXPERIMENT, PLAN, PROGRESS), "give the same command again"
+    written, then = (EXPERIMENT, PLAN, PROGRESS), "run the same command again"
     return OwnedFolder(path, written, ResultsError, "runs a plan in this folder", then)
 
 
@@ -173,7 +173,9 @@ def require_same_first_runs(runs: Iterable[PlannedRun], results: Results) -> Non
         if (Path(folder) / CHECKPOINT).is_file():
             digests[folder] = sha256_sum(Path(folder) / CHECKPOINT, follow_links=True)
     results.require_same(
-        "first_runs", digests, lambda folder: f"another checkpoint of {folder} than there is now"
+        "first_runs",
+        digests,
+        lambda folder: f"a different checkpoint of {folder} than the current one",
     )
 
 

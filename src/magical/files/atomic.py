@@ -57,7 +57,7 @@ def make_folder(path: Path) -> None:
         path.mkdir(parents=True, exist_ok=True)
     except FileExistsError as error:
         found = Path(error.filename)
-        what = "a symbolic link to nothing" if found.is_symlink() else "a file"
+        what = "a broken symbolic link" if found.is_symlink() else "a file"
         raise FileExistsError(f"{found}: expected a folder, found {what}") from error
 
 

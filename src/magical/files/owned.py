@@ -74,7 +74,7 @@ class OwnedFolder:
         except LockedError as problem:
             raise self.error(
                 f"{self.path}: process {problem.process_id or '(unknown)'} already {self.use}; "
-                "wait for its end, or stop it"
+                "wait for it to end, or stop it"
             ) from problem
         except OSError as problem:
             if not is_out_of_space(problem):
@@ -84,7 +84,7 @@ class OwnedFolder:
     def full(self) -> MagicalError:
         """The error of a full disk."""
         return self.error(
-            f"{self.path}: no space left on the device. What was finished is whole: free some "
+            f"{self.path}: no space left on the device. Finished files are intact: free some "
             f"space, then {self.advice}"
         )
 

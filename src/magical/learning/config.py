@@ -50,7 +50,7 @@ METAVARS = {int: "N", float: "X", str: "NAME", bool: None}
 class EncoderSettings(Settings):
     """A network's observation, and the architecture that turns it into features."""
 
-    observation: str = option("LoRes4E", "observation")
+    observation: str = option("LoRes4E", "observation preset")
     network: str = option(
         "paper", "network architecture", choices=network_names, others="magical.networks"
     )
@@ -62,7 +62,7 @@ class NetworkSettings(EncoderSettings):
 
     conventions: str = option(
         APPENDIX,
-        "of images, initialisation and batch norm, where the published code's differ "
+        "whether images, initialisation and batch norm follow the appendix or the published code "
         "(docs/presets.md)",
         choices=CONVENTIONS,
     )
@@ -95,7 +95,7 @@ class DemonstrationSettings(Settings):
     """Which demonstrations to learn from."""
 
     demos: str = option(MISSING, "folder with a dataset of demonstrations", metavar="FOLDER")
-    num_demos: int = option(10, "demonstrations of each task, sampled by the seed", POSITIVE)
+    num_demos: int = option(10, "demonstrations per task, chosen by the seed", POSITIVE)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,25 +110,25 @@ class Config(Settings):
     seconds_each: ClassVar[tuple[float, float] | None] = None
 
     algorithm: str = ""  # its name, an entry point's name, or `module:NAME`
-    tasks: tuple[str, ...] = option(MISSING, "tasks to learn, one or several", metavar="TASK")
+    tasks: tuple[str, ...] = option(MISSING, "one or more tasks to learn", metavar="TASK")
     seed: int = option(
-        0, "determines demonstrations, initialisation, minibatches and episodes", NOT_NEGATIVE
+        0, "random seed of demonstrations, initialisation, minibatches and episodes", NOT_NEGATIVE
     )
-    device: str = option("auto", "where to compute", choices=DEVICES)
+    device: str = option("auto", "device to compute on", choices=DEVICES)
     # PPO compares ratios with a clip range of 0.01: bfloat16's resolution is nearly as coarse.
     precision: str = option(
         "float32",
-        "of the forward and backward pass; auto: bfloat16 where the processor has it",
+        "precision of forward and backward passes; auto: bfloat16 if the processor supports it",
         choices=("auto", "float32", "bfloat16"),
     )
     threads: int = option(
         0,
-        "CPU threads; 0: PyTorch's own number",
+        "CPU threads; 0: PyTorch's default",
         (lambda number: 0 <= number <= MAX_THREADS, f"a number from 0 to {MAX_THREADS}"),
     )
     checkpoint_every: int = option(
         0,
-        f"batches or updates between checkpoints; 0: one every {CHECKPOINT_SECONDS} s at most",
+        f"batches or updates between checkpoints; 0: at most one every {CHECKPOINT_SECONDS} s",
         NOT_NEGATIVE,
     )
 

@@ -102,7 +102,7 @@ class FrameFeatures(nn.Module):
             found, expected = (bytes(d.tolist()).hex()[:12] for d in (self.digest, saved))
             raise CheckpointError(
                 "network: the run was trained on the features of another encoder: expected weights "
-                f"with the SHA-256 digest {expected}..., found {found}...; load those of then"
+                f"with the SHA-256 digest {expected}..., found {found}...; load the original ones"
             )
         super()._load_from_state_dict(state_dict, prefix, *rest)
 
@@ -132,10 +132,10 @@ def timm_encoder(name: str) -> FrozenEncoder:
         config = None
     if config is None:
         family = name.partition(".")[0]
-        known = timm.list_models(f"{family}*", pretrained=True)[:8]
+        known = ", ".join(timm.list_models(f"{family}*", pretrained=True)[:8])
         raise UnknownNameError(
             f"network timm:{name}: timm {timm.__version__} has no such model with weights; "
-            f"{', '.join(known) or 'timm.list_models(pretrained=True)'} are some"
+            f"choose one{f', such as {known}' if known else ''}: timm.list_models(pretrained=True)"
         )
     size = config.input_size[-1] if config.fixed_input_size else None
     return FrozenEncoder(
@@ -148,7 +148,7 @@ def _load_timm(timm: Any, name: str) -> nn.Module:
         model: nn.Module = timm.create_model(name, pretrained=True, num_classes=0)
     except (OSError, RuntimeError) as error:
         raise PluginError(
-            f"network timm:{name}: its weights cannot be loaded: {error}; where there is a "
-            f"connection, timm.create_model({name!r}, pretrained=True) keeps them in its cache"
+            f"network timm:{name}: its weights cannot be loaded: {error}; with internet "
+            f"access, timm.create_model({name!r}, pretrained=True) adds them to its cache"
         ) from error
     return model

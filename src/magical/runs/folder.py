@@ -64,7 +64,7 @@ def opened_folder(path: Path, config: Mapping[str, Any], resume: bool) -> Iterat
     if resume and not is_run(path):
         raise RunFolderError(f"{path}: expected a run to resume, found none")
     existed = path.exists()
-    then = "give the same command again, with --resume if the run has begun"
+    then = "run the same command again, with --resume if the run has begun"
     with OwnedFolder(path, WRITTEN, RunFolderError, "trains this run", then).locked():
         if is_run(path):
             _check_existing(path, config, resume)

@@ -50,7 +50,7 @@ def parse_source(name: str) -> str:
     if name not in SOURCES:
         known = ", ".join(SOURCES)
         raise UnknownNameError(
-            f"{quoted(name)} is no source of learning; expected some of: {known}"
+            f"{quoted(name)} is not a source of learning; expected some of: {known}"
         )
     return name
 

@@ -87,7 +87,7 @@ def to_discrete(actions: ArrayLike) -> NDArray[np.int64]:
     if len(others):
         raise ValueError(
             f"expected points of the {NUM_ACTIONS} discrete actions, of -1, 0 and 1 (grip: -1 and "
-            f"1), found {others[0].tolist()}; {len(others)} of {equal[..., 0].size} are no such"
+            f"1), found {others[0].tolist()}; {len(others)} of {equal[..., 0].size} are not"
         )
     numbers: NDArray[np.int64] = equal.argmax(axis=-1)
     return numbers

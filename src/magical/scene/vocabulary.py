@@ -71,5 +71,5 @@ def parse_word(kind: type[Word], value: Any) -> Word:
     except ValueError:
         known = ", ".join(kind)
         raise UnknownNameError(
-            f"{quoted(value)} is no {kind.__name__.lower()}; expected one of: {known}"
+            f"{quoted(value)} is not a {kind.__name__.lower()}; expected one of: {known}"
         ) from None

@@ -99,7 +99,7 @@ class Task:
             if variant in VARIANTS:
                 raise UnknownNameError(f"{self.name} has no variant {variant!r}; it has: {known}")
             hint = f"; did you mean {close[0]!r}?" if close else ""
-            raise UnknownNameError(f"{variant!r} is no variant; {self.name} has: {known}{hint}")
+            raise UnknownNameError(f"{variant!r} is not a variant; {self.name} has: {known}{hint}")
         axes = VARIANTS[variant] & self.axes
         if variant == TEST_ALL and Axis.LAYOUT not in axes:
             return axes | self.axes & Axis.JITTER

@@ -161,8 +161,8 @@ def episode_probabilities(policy: Any, episode: Trajectory) -> NDArray[np.float6
     """
     if not hasattr(policy, "probabilities"):
         raise PolicyError(
-            "policy: expected one whose actions depend on the observation alone, found one that "
-            "remembers the episode; watch it act instead"
+            "policy: expected one whose actions depend on the current observation alone, found one "
+            "with a memory; watch it act instead"
         )
     reader = ObservationReader(episode, policy.observation)
     steps = np.arange(len(episode))

@@ -111,7 +111,9 @@ class PlayServer:
             await socket.close(Close.FULL)
             return
         if key and key != player.key:
-            player.session.note_problem("Your former session was not resumed in time and is gone.")
+            player.session.note_problem(
+                "Your previous session was not resumed in time and has ended."
+            )
         await socket.send_text(json.dumps({"type": "hello", "session": player.key}))
         reason = await Connection(socket, player, self._save, self._threads).run()
         if reason is Close.IDLE:

@@ -263,7 +263,7 @@ class Session:
             return
         if now - self._heard_at > SILENCE_TIME:
             self.pause()
-            self.note_problem("Paused: the page did not answer.")
+            self.note_problem("Paused: the page did not respond.")
             return
         late = now - self.step_at > STEP_TIME
         self.step_at = STEP_TIME + (now if late else self.step_at)

@@ -202,7 +202,7 @@ def test_errors_say_what_to_do(hub: Hub, dataset: Dataset, tmp_path: Path) -> No
     with pytest.raises(DatasetError, match="new folder"):
         pull(REPO, tmp_path)
     hub.denied = 401
-    with pytest.raises(DatasetError, match=r"log in by `hf auth login`"):
+    with pytest.raises(DatasetError, match=r"log in with `hf auth login`"):
         push(dataset, REPO, "cc-by-4.0")
 
 

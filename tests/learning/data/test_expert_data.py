@@ -97,7 +97,7 @@ def test_neighbours_are_on_the_same_side_of_what_a_policy_did() -> None:
 
 def test_nothing_but_noops_is_an_error() -> None:
     task, nothing = "MoveToCorner", picture_demo("MoveToCorner", 0, [0, 0, 0])
-    with pytest.raises(DemonstrationsError, match="MoveToCorner: expected demonstrations with"):
+    with pytest.raises(DemonstrationsError, match="MoveToCorner: expected demonstrated actions"):
         ExpertData([(task, nothing)], [task], PRESETS["LoRes4E"], remove_noops=True)
 
 

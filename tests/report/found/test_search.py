@@ -186,7 +186,7 @@ def test_a_training_run_counts_once_in_a_row(write_entry: WriteEntry, tmp_path: 
     found = find_results([tmp_path])
     assert [r.folder.name for r in found.results] == ["a", "b", "nudged", "third"]
     assert [item.folder.name for item in found.skipped] == ["another-set-of-seeds", "third-copy"]
-    assert found.skipped[0].reason.endswith("a: each run counts once in a row")
+    assert found.skipped[0].reason.endswith("a: each run counts only once in a table row")
 
 
 def test_copies_with_other_seeds_are_one_run(write_entry: WriteEntry, tmp_path: Path) -> None:

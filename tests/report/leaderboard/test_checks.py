@@ -1,4 +1,4 @@
-"""Whether entries are what the protocol asks for."""
+"""Whether entries follow the protocol."""
 
 import json
 from dataclasses import replace
@@ -73,7 +73,7 @@ def test_what_a_policy_was_shown_is_what_its_run_says(
     (tmp_path / "config.json").write_text(json.dumps({"observation": trained}))
     _, rejected = check_entries(Found([Result(tmp_path, entry(), tmp_path)]))
     reasons = [reason for item in rejected for reason in item.reasons]
-    assert reasons == ["shown LoRes4E, but its run was trained on state"] * refused
+    assert reasons == ["observation LoRes4E, but its run was trained on state"] * refused
 
 
 @pytest.mark.parametrize(
@@ -107,9 +107,9 @@ def test_runs_of_a_method_agree() -> None:
     first = entry(0.1)
     assert check(first, entry(0.2)) == []
     for other, words in (
-        (entry(0.2, observation="LoRes4A"), "shown LoRes4A, but of the same method 0 LoRes4E"),
-        (entry(0.2, privileged=True), "privileged True"),
-        (entry(0.2, details={"learned_from": []}), "learned from nothing"),
+        (entry(0.2, observation="LoRes4A"), "LoRes4A, but 0 of the same method has LoRes4E"),
+        (entry(0.2, privileged=True), "privileged: True"),
+        (entry(0.2, details={"learned_from": []}), "learned from: nothing"),
     ):
         ((folder, reason),) = check(first, other)
         assert folder == "1"

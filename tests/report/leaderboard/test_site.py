@@ -102,9 +102,9 @@ def test_the_page_explains_its_words_and_says_what_was_run_again(
     for word in ("nudge", "class", "earlier looks, †", "gap", "reference"):
         assert f"<dt>{word}</dt>" in text
     assert "Scores are as submitted, unless marked" in text
-    assert text.count("<small>run again</small>") == 1
+    assert text.count("<small>rerun</small>") == 1
     assert cli.main([*argv, "old"]) == 2
-    assert "expected ranked methods to mark as run again, found ['old']" in capsys.readouterr().err
+    assert "expected ranked methods to mark as rerun, found ['old']" in capsys.readouterr().err
 
 
 def test_the_site_may_lie_among_the_entries(entries: Path) -> None:

@@ -25,7 +25,7 @@ def test_one_run_has_an_interval_over_rollouts() -> None:
     assert table.variants[:2] == ("Demo", "Jitter")
     assert table.note == "Scored by the appendix's rule." + ONE_RUN
     same = task_table("MoveToRegion", [entry("mine", {"MoveToRegion-Demo": [1.0]})], ["BC (ST)"])
-    rule = "The published code's rule and horizon are the appendix's on this task."
+    rule = "On this task, the published code's rule and horizon are the same as the appendix's."
     assert same.note == rule + ONE_RUN
 
 
@@ -64,13 +64,13 @@ def test_published_rows_are_never_beside_scores_of_another_horizon() -> None:
     mine = entry("mine", scores, horizon="published")
     table = task_table("ClusterShape", [mine, entry("other", scores)], ["BC (ST)"])
     assert [row.label for row in table.rows] == ["mine", "other"]
-    assert "Not with the appendix's horizon of 320 control steps: mine (240)." in table.note
+    assert "another horizon than the appendix's 320 control steps: mine (240)." in table.note
     assert [row.cells["Demo"].mean for row in table.rows] == [1.0, 1.0]
     assert table.note.startswith("Scored by the appendix's rule.")
     assert "The published rows are left out" in table.note
     assert "240 control steps, not 320; evaluate with --horizon published" in table.note
     short = entry("short", {"MakeLine-Demo": [1.0]}, horizon="7")
-    assert "of 180 control steps: short (7)." in task_table("MakeLine", [short]).as_text().note
+    assert "180 control steps: short (7)." in task_table("MakeLine", [short]).as_text().note
     assert "--horizon 180 to compare" in task_table("MakeLine", [short], ["BC (ST)"]).note
     elsewhere = entry("elsewhere", {"MakeLine-Demo": [1.0]})
     assert len(task_table("ClusterShape", [mine, elsewhere], ["BC (ST)"]).rows) == 2

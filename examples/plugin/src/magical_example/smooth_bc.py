@@ -41,7 +41,7 @@ class SmoothBCConfig(Config):
     networks: NetworkSettings = field(default_factory=NetworkSettings)
     demonstrations: DemonstrationSettings
     smoothing: float = option(0.1, "epsilon: what all actions share", check=FRACTION)
-    batches: int = option(5000, "batches in all", check=POSITIVE)
+    batches: int = option(5000, "training batches", check=POSITIVE)
     batch_size: int = option(32, "samples per batch", check=POSITIVE)
     learning_rate: float = option(1e-3, "Adam's learning rate", check=POSITIVE)
 

@@ -19,21 +19,21 @@ from magical.commands._common import (
 from magical.commands.demos import datasets, human
 
 HELP = "demonstrations: import, generate, replay, export, push"
-DATASET = "dataset to append to, or to create"
+DATASET = "dataset to create or append to"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the sub-commands and their arguments."""
     add = parser.add_subparsers(title="commands", metavar="COMMAND", required=True).add_parser
-    _import(add("import", help="read published human demonstrations"))
+    _import(add("import", help="import published human demonstrations"))
     _download(add("download", help=f"download and import {human.ARCHIVE}"))
     _generate(add("generate", help="roll out the scripted experts"))
-    _info(add("info", help="the content of a dataset, and its problems"))
-    _replay(add("replay", help="simulate the recorded actions again and score the result"))
-    _video(add("video", help="a video, both views side by side"))
-    _export(add("export", help="to Minari or LeRobot"))
+    _info(add("info", help="show what a dataset contains, and its problems"))
+    _replay(add("replay", help="resimulate the recorded actions and score the result"))
+    _video(add("video", help="make a video, with both views side by side"))
+    _export(add("export", help="export a dataset to Minari or LeRobot"))
     _push(add("push", help="upload a dataset to the Hugging Face Hub"))
-    _pull(add("pull", help="download a dataset from there"))
+    _pull(add("pull", help="download a dataset from the Hugging Face Hub"))
 
 
 def run(args: argparse.Namespace) -> int:
@@ -51,12 +51,15 @@ def _import(parser: argparse.ArgumentParser) -> None:
 
 def _download(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(run_demos=human.run_download)
-    parser.add_argument("--base-url", metavar="URL", help=f"instead of {human.ARCHIVE}")
+    parser.add_argument("--base-url", metavar="URL", help=f"use it instead of {human.ARCHIVE}")
     parser.add_argument(
-        "--files", default="*", metavar="PATTERN", help="only those, such as 'move-to-corner/*'"
+        "--files",
+        default="*",
+        metavar="PATTERN",
+        help="download only the files that match, such as 'move-to-corner/*'",
     )
     parser.add_argument(
-        "--keep", type=Path, metavar="FOLDER", help="keep the published files there"
+        "--keep", type=Path, metavar="FOLDER", help="keep the downloaded files in this folder"
     )
     _importing(parser)
 
@@ -65,13 +68,15 @@ def _importing(parser: argparse.ArgumentParser) -> None:
     add_out(parser, DATASET, required=True)
     frames = parser.add_mutually_exclusive_group()
     frames.add_argument(
-        "--keep-frames", action="store_true", help="keep the 96 x 96 frames beside the poses"
+        "--keep-frames", action="store_true", help="keep the 96 x 96 frames with the poses"
     )
     frames.add_argument(
-        "--frames-only", action="store_true", help="do not recover poses, which takes most time"
+        "--frames-only", action="store_true", help="do not recover poses, the slowest step"
     )
     parser.add_argument(
-        "--skip-duplicates", action="store_true", help="import what is in several files once"
+        "--skip-duplicates",
+        action="store_true",
+        help="import demonstrations that are in several files only once",
     )
     add_workers(parser)
     add_json(parser)
@@ -79,21 +84,21 @@ def _importing(parser: argparse.ArgumentParser) -> None:
 
 def _generate(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(run_demos=datasets.run_generate)
-    add_several(parser, "--env", "environments", "ID", required=True)
-    add_count(parser, "-n", "demonstrations of each", default=25)
+    add_several(parser, "--env", "environment ids", "ID", required=True)
+    add_count(parser, "-n", "demonstrations in each environment", default=25)
     add_out(parser, DATASET, required=True)
-    add_seed(parser, "of the scenes and strategies")
+    add_seed(parser, "seed of the scenes and of the experts' strategies")
     meaning = "number of the first attempt, to continue a series"
     add_count(parser, "--first", meaning, default=0, least=0, metavar="K")
-    add_number(parser, "--min-score", "drop those that score less", most=1)
-    meaning = "0 to 1; below 1 deliberately worse"
+    add_number(parser, "--min-score", "discard demonstrations that score less", most=1)
+    meaning = "the experts' skill, 0 to 1; below 1 they are deliberately worse"
     add_number(parser, "--skill", meaning, default=1.0, most=1)
     meaning = (
-        "share of steps, 0 to 1, with a random action in place of the expert's; learners imitate "
-        "the expert's"
+        "share of steps, 0 to 1, in which a random action replaces the expert's; learners still "
+        "imitate the expert's"
     )
     add_number(parser, "--perturb", meaning, most=1, metavar="P")
-    _action_space(parser, "of the stored actions (default: discrete)", default="discrete")
+    _action_space(parser, "type of the stored actions (default: discrete)", default="discrete")
     add_workers(parser)
     add_json(parser)
 
@@ -116,8 +121,8 @@ def _replay(parser: argparse.ArgumentParser) -> None:
 def _video(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(run_demos=datasets.run_video)
     _dataset(parser)
-    add_out(parser, "FILE.mp4 or FILE.webp", "FILE", required=True)
-    meaning = "which demonstrations, from 0 (default: one of each environment)"
+    add_out(parser, "video to write, FILE.mp4 or FILE.webp", "FILE", required=True)
+    meaning = "numbers of the demonstrations, from 0 (default: the first of each environment)"
     add_several(parser, "--index", meaning, "I", kind=number(int, 0))
     add_json(parser)
 
@@ -125,19 +130,22 @@ def _video(parser: argparse.ArgumentParser) -> None:
 def _export(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(run_demos=datasets.run_export)
     _dataset(parser)
-    parser.add_argument("--to", choices=("minari", "lerobot"), required=True, help="the format")
-    meaning = "lerobot: a new folder; minari: its folder of datasets (default: Minari's own)"
+    parser.add_argument("--to", choices=("minari", "lerobot"), required=True, help="target format")
+    meaning = "lerobot: a new folder; minari: the folder of datasets (default: Minari's own)"
     add_out(parser, meaning, "FOLDER")
-    parser.add_argument("--name", default="demos", help="minari: the last part of the id")
     parser.add_argument(
-        "--preset", default="LoRes4E", help="minari: the observations (default: LoRes4E)"
+        "--name", default="demos", help="minari: last part of the dataset id (default: demos)"
     )
-    _action_space(parser, "of the exported actions (default: the dataset's)")
+    parser.add_argument(
+        "--preset", default="LoRes4E", help="minari: observation preset (default: LoRes4E)"
+    )
+    _action_space(parser, "type of the exported actions (default: the dataset's)")
     parser.add_argument(
         "--instruction",
         choices=("attributes", "task"),
         default="attributes",
-        help="lerobot: whether an episode's task names colours and shapes (default: attributes)",
+        help="lerobot: an instruction that names colours and shapes, or the task's (default: "
+        "attributes)",
     )
     parser.add_argument(
         "--skip-damaged", action="store_true", help="leave damaged trajectories out"
@@ -154,7 +162,7 @@ def _push(parser: argparse.ArgumentParser) -> None:
         "--license",
         required=True,
         metavar="ID",
-        help="an identifier of the Hub, such as cc-by-4.0",
+        help="licence identifier of the Hub, such as cc-by-4.0",
     )
     parser.add_argument("--private", action="store_true", help="make a new repository private")
     add_json(parser)
@@ -163,13 +171,13 @@ def _push(parser: argparse.ArgumentParser) -> None:
 def _pull(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(run_demos=datasets.run_pull)
     _repository(parser)
-    add_out(parser, "a new folder", "DIR", required=True)
+    add_out(parser, "new folder to download into", "DIR", required=True)
     parser.add_argument("--revision", metavar="REV", help="a branch, tag or commit")
     add_json(parser)
 
 
 def _repository(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("repo", metavar="OWNER/NAME", help="the repository, of kind dataset")
+    parser.add_argument("repo", metavar="OWNER/NAME", help="the dataset repository")
 
 
 def _action_space(

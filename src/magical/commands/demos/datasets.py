@@ -35,9 +35,9 @@ def run_generate(args: argparse.Namespace) -> int:
     )
     if copies := len(find_duplicates(Dataset.open(args.out).entries)):
         log(
-            f"warning: {args.out}: demonstrations that equal earlier ones: {copies}; an "
-            "expert repeats itself where the scene is the same, unless its actions are perturbed "
-            "(--perturb); another series needs another --seed, or --first to continue one"
+            f"warning: {args.out}: demonstrations that duplicate earlier ones: {copies}; in the "
+            "same scene, an expert repeats itself unless its actions are perturbed (--perturb); "
+            "use another --seed for another series, or --first to continue one"
         )
     print_json(args, {"out": str(args.out), "environments": [asdict(report) for report in reports]})
     return 0
@@ -57,7 +57,7 @@ def run_info(args: argparse.Namespace) -> int:
     duplicates = find_duplicates(dataset.entries)
     _print_summaries(summaries)
     for later, earlier in duplicates:
-        log(f"duplicate: {printable(later)} shows the same as {printable(earlier)}")
+        log(f"duplicate: {printable(later)} shows the same episode as {printable(earlier)}")
     _log_problems(dataset.problems)
     print_json(
         args,
@@ -88,7 +88,7 @@ def _print_summaries(summaries: "Sequence[DatasetSummary]") -> None:
         for s in summaries
     ]
     print_table((*columns, "kB each", "by"), rows)
-    print("labels: trajectories with expert actions beside those that were executed.\n")
+    print("labels: trajectories with expert actions in addition to the executed ones.\n")
     most = [
         (
             s.env_id,
@@ -129,7 +129,7 @@ def run_replay(args: argparse.Namespace) -> int:
     ]
     agree = sum(mean.agree for mean in means)
     print_table((*columns, "exact"), rows)
-    print(f"\n{agree} of {len(replays)} replays got the recorded score.\n\n{_REPLAY_NOTE}")
+    print(f"\n{agree} of {len(replays)} replays reproduced the recorded score.\n\n{_REPLAY_NOTE}")
     _log_problems(dataset.problems)
     print_json(
         args,
@@ -145,9 +145,9 @@ def run_replay(args: argparse.Namespace) -> int:
 
 _REPLAY_NOTE = """\
 recorded, replayed, published: by the published code's rule; appendix: by the appendix's.
-agree: replays that got the recorded score, by both rules where both are recorded.
+agree: replays that reproduced the recorded score, by both rules if both are recorded.
 published: 25 human demonstrations replayed in the published implementation, unchanged
-and with the robot's start moved by 1e-9. exact: ended in the recorded poses."""
+and with the robot's start moved by 1e-9. exact: replays that ended in the recorded poses."""
 
 
 def run_video(args: argparse.Namespace) -> int:
@@ -159,9 +159,9 @@ def run_video(args: argparse.Namespace) -> int:
     first = {entry.env_id: i for i, entry in reversed(list(enumerate(dataset.entries)))}
     chosen = args.index or sorted(first.values())
     if not chosen or max(chosen) >= len(dataset):
-        wanted = f"number {max(chosen)}" if chosen else "one"
+        wanted = max(chosen, default=0) + 1
         raise DatasetError(
-            f"{args.dataset}: expected demonstrations, {wanted} included, found {len(dataset)}"
+            f"{args.dataset}: expected {wanted} or more demonstrations, found {len(dataset)}"
         )
     frames = write_video((dataset[i] for i in chosen), args.out)
     print(f"wrote {args.out}: {len(chosen)} demonstrations, {frames} frames")

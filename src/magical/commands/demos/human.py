@@ -35,7 +35,7 @@ def run_download(args: argparse.Namespace) -> int:
     wanted = {f: s for f, s in published_sums().items() if fnmatch.fnmatch(f, args.files)}
     if not wanted:
         raise DownloadError(
-            f"--files {args.files}: expected some of the published files, found none"
+            f"--files {args.files}: expected a pattern that published files match, found no match"
         )
     DatasetWriter(args.out)
     have = {(e.source, e.source_sha256) for e in Dataset.open(args.out).entries}
@@ -72,9 +72,9 @@ def _import(files: list[Path], args: argparse.Namespace, not_fetched: Sequence[s
 def _print_report(report: "ImportReport", args: argparse.Namespace) -> None:
     print(f"imported {len(report.imported)} demonstrations into {args.out}")
     if report.already:
-        print(f"{len(report.already)} were there already")
+        print(f"{len(report.already)} were already there")
     for later, earlier in report.duplicates:
-        log(f"duplicate: {printable(later)} shows the same as {printable(earlier)}")
+        log(f"duplicate: {printable(later)} shows the same episode as {printable(earlier)}")
     for file, reason in report.without_poses:
         log(f"kept as frames: {printable(file)}: {reason}")
     for _, reason in report.failed:

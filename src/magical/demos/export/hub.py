@@ -116,7 +116,7 @@ def _require_publishable(dataset: Dataset) -> None:
         raise DatasetError(
             f"{dataset.path}: {len(published)} of {len(dataset)} demonstrations are from published "
             f"files, such as {quoted(published[0].source or published[0].file)}; they carry no "
-            "licence, so they may not be published again; others can get them by "
+            "licence, so they may not be republished; others can get them with "
             "`magical demos download`"
         )
 
@@ -139,7 +139,7 @@ pretty_name: MAGICAL demonstrations
 
 {table}
 
-Labels: demonstrations with actions to imitate beside those that were executed.
+Labels: demonstrations with actions to imitate in addition to those that were executed.
 
 ## Provenance
 
@@ -200,7 +200,7 @@ def _hub_errors(repo: str) -> Iterator[None]:
         yield
     except (LocalTokenNotFoundError, HfHubHTTPError) as error:
         status = getattr(getattr(error, "response", None), "status_code", None)
-        login = "; log in by `hf auth login`" if status in (None, 401, 403) else ""
+        login = "; log in with `hf auth login`" if status in (None, 401, 403) else ""
         first = str(error).strip().partition("\n")[0]
         raise DatasetError(f"{quoted(repo)} on the Hub: {printable(first)}{login}") from error
     except HFValidationError as error:

@@ -59,17 +59,20 @@ class ACTConfig(ChunkConfig):
 
     algorithm: str = "act"
     actions: str = option(
-        "discrete", "what is predicted", choices=tuple(ACTION_SPECS), name="action_space"
+        "discrete",
+        "action space of the predictions",
+        choices=tuple(ACTION_SPECS),
+        name="action_space",
     )
     ensemble: bool = option(True, "average the chunks that predict a step (temporal ensembling)")
     ensemble_decay: float = option(
         0.01,
-        "temporal ensembling: the n-th chunk that predicts a step has weight exp(-x n), the oldest "
-        "being number 0",
+        "temporal ensembling: the n-th chunk that predicts a step has weight exp(-x n), with "
+        "n = 0 for the oldest",
         NOT_NEGATIVE,
     )
     kl_weight: float = option(
-        10.0, "weight of the KL divergence of z from N(0, 1); 0: no z", NOT_NEGATIVE
+        10.0, "weight of the KL divergence of z from N(0, 1); 0: no latent z", NOT_NEGATIVE
     )
 
     @property

@@ -75,24 +75,26 @@ class ALConfig(ReinforcementConfig):
 
     algorithm: str = "al"
     demonstrations: DemonstrationSettings
-    pretraining_batches: int = option(8192, "batches that the autoencoder is trained on", POSITIVE)
-    pretraining_batch_size: int = option(24, "expert samples per such batch", POSITIVE)
-    pretraining_learning_rate: float = option(3e-4, "Adam's, for the autoencoder", POSITIVE)
+    pretraining_batches: int = option(8192, "batches of pretraining the autoencoder", POSITIVE)
+    pretraining_batch_size: int = option(24, "expert samples per pretraining batch", POSITIVE)
+    pretraining_learning_rate: float = option(
+        3e-4, "Adam's learning rate for the autoencoder", POSITIVE
+    )
     augment: str = augment_option("none", "the autoencoder's images")
     autoencoder: str = option(
         APPENDIX,
-        "refined: its learning rate is annealed linearly to 0, it decodes the difference from the "
-        "expert's mean image with an error relative to that image's, there is no ReLU after its "
-        f"features, and batch norm's statistics are of {STATISTICS_BATCHES} unaugmented batches "
-        "after pretraining",
+        "refined: its learning rate is annealed linearly to 0; it decodes the difference from the "
+        "expert's mean image, with an error relative to that image's; no ReLU follows its "
+        f"features; batch norm statistics are of {STATISTICS_BATCHES} unaugmented batches after "
+        "pretraining",
         choices=(APPENDIX, REFINED),
     )
     feature_samples: int = option(
-        512, "samples, each of expert and novice, to compute w from", POSITIVE
+        512, "samples of the expert, and as many of the novice, to compute w from", POSITIVE
     )
     weight_metric: str = option(
         "euclidean",
-        "norm of w that is bounded: |w|, or the standard deviation of w^T phi over the samples",
+        "which norm of w is bounded: |w|, or the standard deviation of w^T phi over the samples",
         choices=("euclidean", "covariance"),
     )
     reward_std: float = option(0.1, "standard deviation of the normalised rewards", POSITIVE)

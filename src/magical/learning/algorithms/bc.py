@@ -61,7 +61,7 @@ STATISTICS_BATCHES = 50  # batches that give the averaged weights their batch-no
 class CloningSettings(Settings):
     """How demonstrations are cloned; the defaults are Table 3's."""
 
-    batches: int = option(20_000, "batches of training", POSITIVE)
+    batches: int = option(20_000, "training batches", POSITIVE)
     batch_size: int = option(32, "samples per batch", POSITIVE)
     optimizer: str = option("sgd", "optimiser", choices=("sgd", "adam"))
     learning_rate: float = option(1e-3, "initial learning rate", POSITIVE)
@@ -70,26 +70,26 @@ class CloningSettings(Settings):
     augment: str = augment_option("all")
     augment_by: str = option(
         RESAMPLING,
-        "augmented images are resampled, or rendered anew from the poses; auto: rendered where "
-        "all demonstrations have poses",
+        "resample augmented images, or render them anew from the poses; auto: render if all "
+        "demonstrations have poses",
         choices=(AUTO, RENDERING, RESAMPLING),
     )
     augment_scale: float = option(
-        1.0, "factor of the ranges of the translation and the rotation", NOT_NEGATIVE
+        1.0, "factor that scales the ranges of translations and rotations", NOT_NEGATIVE
     )
     transform: str = option(
         NONE,
-        f"transformations of the demonstrations: {NONE}, or names joined by +, of "
-        f"{', '.join(TRANSFORMATIONS)}",
+        f"transformations of the demonstrations: {NONE}, or some of "
+        f"{', '.join(TRANSFORMATIONS)}, joined by +",
         metavar="NAMES",
     )
     average_decay: float = option(
         0.0,
-        "decay, at each batch, of the exponential moving average of the weights, which is then "
-        "the policy; 0: no average",
+        "decay per batch of an exponential moving average of the weights, which the policy then "
+        "uses; 0: no averaging",
         BELOW_1,
     )
-    log_every: int = option(50, "batches between lines of metrics", POSITIVE)
+    log_every: int = option(50, "batches between logged metrics", POSITIVE)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -130,7 +130,7 @@ class BCConfig(Config):
     networks: NetworkSettings = field(default_factory=NetworkSettings)
     demonstrations: DemonstrationSettings
     cloning: CloningSettings = field(default_factory=CloningSettings)
-    init_from: str = option("", "run of bc whose trunk is fine-tuned", metavar="RUN")
+    init_from: str = option("", "bc run whose trunk is fine-tuned", metavar="RUN")
 
     def __post_init__(self) -> None:
         super().__post_init__()

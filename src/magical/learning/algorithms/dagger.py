@@ -68,12 +68,14 @@ class DAggerConfig(BCConfig):
     rounds: int = option(
         10, "rounds, each of `batches` batches; all but the first collect episodes", POSITIVE
     )
-    episodes: int = option(10, "episodes of each task per round, variants in rotation", POSITIVE)
+    episodes: int = option(
+        10, "episodes of each task per round, rotating through the variants", POSITIVE
+    )
     variants: tuple[str, ...] = option(
-        ("Demo",), "variants that episodes are collected in", metavar="VARIANT"
+        ("Demo",), "variants in which episodes are collected", metavar="VARIANT"
     )
     beta_decay: float = option(
-        0.5, "round i takes the expert's actions with probability decay^i", FRACTION
+        0.5, "in round i, the expert's action is taken with probability decay^i", FRACTION
     )
     keep_noops: bool = option(False, "train on no-op labels too")
     workers: int | None = option(

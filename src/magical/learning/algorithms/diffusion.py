@@ -55,7 +55,7 @@ class DiffusionConfig(ChunkConfig):
 
     algorithm: str = "diffusion"
     chunks: ChunkSettings = field(default_factory=partial(ChunkSettings, execute=8))
-    denoising_steps: int = option(10, "steps of DDIM for a chunk", POSITIVE)
+    denoising_steps: int = option(10, "DDIM steps per chunk", POSITIVE)
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -54,10 +54,15 @@ class DiscriminatorSettings(Settings):
         12, "the discriminator's optimiser steps per update", POSITIVE, name="discriminator_steps"
     )
     batch_size: int = option(
-        24, "samples per such step, half of them the expert's", name="discriminator_batch_size"
+        24,
+        "samples per discriminator step, half of them the expert's",
+        name="discriminator_batch_size",
     )
     learning_rate: float = option(
-        2.5e-5, "Adam's, for the discriminator", POSITIVE, name="discriminator_learning_rate"
+        2.5e-5,
+        "Adam's learning rate for the discriminator",
+        POSITIVE,
+        name="discriminator_learning_rate",
     )
     augment: str = augment_option("all", "the discriminator's images")
     reward_std: float = option(0.1, "standard deviation of the normalised rewards", POSITIVE)

@@ -62,20 +62,22 @@ class IQSettings(InteractionSettings):
     """How a soft Q function is learned; the defaults are the published code's, for Atari games."""
 
     num_steps: int = option(1, "T: steps of each environment per update", POSITIVE)
-    buffer_size: int = option(50_000, "frames in the replay buffer, about one a step", POSITIVE)
+    buffer_size: int = option(50_000, "frames in the replay buffer, about one per step", POSITIVE)
     gradient_steps: int = option(32, "optimiser steps per update", POSITIVE)
     batch_size: int = option(
-        128, "transitions per such step, half of them the demonstrations'", POSITIVE
+        128, "transitions per optimiser step, half of them from demonstrations", POSITIVE
     )
     learning_rate: float = option(1e-4, "Adam's initial learning rate", POSITIVE)
     anneal: bool = option(False, "anneal the learning rate linearly to 0")
     gamma: float = option(0.99, "discount factor", FRACTION)
-    temperature: float = option(1e-3, "alpha, of the soft value and of the policy", POSITIVE)
+    temperature: float = option(
+        1e-3, "alpha: temperature of the soft value and of the policy", POSITIVE
+    )
     chi2_scale: float = option(0.5, "beta: rewards are between -4 beta and 4 beta", POSITIVE)
     target_every: int = option(
         0,
-        "optimiser steps after which V(s') is that of the present weights again; 0: always, and "
-        "gradients pass through it",
+        "optimiser steps between updates of the target network for V(s'); 0: no target network, "
+        "and gradients pass through V(s')",
         NOT_NEGATIVE,
     )
     bootstrap: bool = option(True, "bootstrap the value at the time limit instead of using 0")

@@ -66,36 +66,38 @@ class ObjectBCConfig(Config):
     algorithm: str = "object-bc"
     demonstrations: DemonstrationSettings
     perception: str = option(
-        PARSER, "what finds the objects of frames", choices=(PARSER,), others=PERCEPTIONS
+        PARSER, "what detects the objects in frames", choices=(PARSER,), others=PERCEPTIONS
     )
-    batches: int = option(6000, "batches in all", POSITIVE)
+    batches: int = option(6000, "training batches", POSITIVE)
     batch_size: int = option(256, "samples per batch of the controller", POSITIVE)
-    learning_rate: float = option(2e-3, "of the controller; annealed linearly to 0", POSITIVE)
-    mirror: bool = option(True, "exchange left and right in half of the controller's samples")
+    learning_rate: float = option(
+        2e-3, "the controller's initial learning rate; annealed linearly to 0", POSITIVE
+    )
+    mirror: bool = option(True, "swap left and right in half of the controller's samples")
     block_range: float = option(
         0.6,
-        "units from the robot's centre or its grip: no block farther away is an input of the "
+        "units from the robot's centre and from its grip within which blocks are inputs of the "
         "controller",
         POSITIVE,
     )
     wall_range: float = option(
-        0.4, "units from robot, target and destination, likewise for walls", POSITIVE
+        0.4, "the same for walls, from robot, target and destination", POSITIVE
     )
     drop_blocks: float = option(
         0.3,
-        "share of the blocks, but for targets, that are removed from the controller's samples",
+        "share of blocks other than targets that are dropped from the controller's samples",
         FRACTION,
     )
     goal_sparsity: float = option(
         0.01,
-        "weight of the goal model's group lasso; a fifth of it in the second half",
+        "weight of the goal model's group lasso; a fifth of it in the second half of training",
         NOT_NEGATIVE,
     )
-    temperature: float = option(0.7, "of the distribution that actions are sampled from", POSITIVE)
+    temperature: float = option(0.7, "softmax temperature for sampling actions", POSITIVE)
     stuck_temperature: float = option(
-        4.0, "the same where a block is left to move and the robot has not moved", POSITIVE
+        4.0, "the same when a block is left to move but the robot has not moved", POSITIVE
     )
-    log_every: int = option(50, "batches between lines of metrics", POSITIVE)
+    log_every: int = option(50, "batches between logged metrics", POSITIVE)
 
     @property
     def observation(self) -> str:

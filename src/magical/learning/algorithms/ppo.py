@@ -47,15 +47,15 @@ class PPOSettings(InteractionSettings):
     """How a policy is improved by PPO; the defaults are Table 4's."""
 
     init: str = option(
-        "torch", "initialisation of a policy of images", choices=("torch", "centred")
+        "torch", "initialisation of policies that observe images", choices=("torch", "centred")
     )
     horizon: str = option(
         "appendix",
-        "of training episodes and evaluations; published: 240 steps for the Cluster tasks",
+        "horizon of all episodes; published: 240 steps for the Cluster tasks",
         choices=("appendix", PUBLISHED),
     )
     epochs: int = option(12, "passes over the samples per update", POSITIVE)
-    minibatch_size: int = option(64, "samples per step of the optimiser", POSITIVE)
+    minibatch_size: int = option(64, "samples per optimiser step", POSITIVE)
     learning_rate: float = option(6e-5, "Adam's initial learning rate", POSITIVE)
     clip_range: float = option(
         0.01, "epsilon: initial clip range of the probability ratio", POSITIVE
@@ -65,7 +65,9 @@ class PPOSettings(InteractionSettings):
     gae_lambda: float = option(0.8, "lambda of generalised advantage estimation", FRACTION)
     ent_coef: float = option(1e-5, "weight of the policy's entropy", NOT_NEGATIVE)
     max_grad_norm: float = option(1.0, "gradients are clipped to this L2 norm", POSITIVE)
-    normalise_advantages: bool = option(False, "to mean 0 and standard deviation 1 per update")
+    normalise_advantages: bool = option(
+        False, "in each update, normalise advantages to mean 0 and standard deviation 1"
+    )
     bootstrap: bool = option(False, "bootstrap the value at the time limit instead of using 0")
 
     @property

@@ -56,8 +56,8 @@ class TransformerBCConfig(SequenceConfig):
 
     algorithm: str = "transformer-bc"
     fitting: FittingSettings = field(default_factory=partial(FittingSettings, batch_size=8))
-    window: int = option(16, "steps that are seen, the present one included", POSITIVE)
-    past_actions: bool = option(True, "past actions are seen")
+    window: int = option(16, "steps in the input, the current one included", POSITIVE)
+    past_actions: bool = option(True, "include past actions in the input")
 
     @property
     def training_samples(self) -> int:

@@ -159,8 +159,8 @@ class ExpertData:
         for name, rows in zip(task_names, self._rows, strict=True):
             if not len(rows):
                 raise DemonstrationsError(
-                    f"{name}: expected demonstrations with actions other than the no-op, and not "
-                    "of a watched policy's own, found none"
+                    f"{name}: expected demonstrated actions other than no-ops (those of a watched "
+                    "policy do not count), found none"
                 )
 
     def _load_frames(self, trajectories: Sequence[Trajectory]) -> None:

@@ -183,6 +183,6 @@ def gpu_memory_as_error() -> Iterator[None]:
         yield
     except torch.OutOfMemoryError as error:
         raise DeviceError(
-            "device cuda: the GPU has not enough memory for the run; give it smaller batches "
+            "device cuda: not enough memory on the GPU for the run; use smaller batches "
             "(--batch-size, --minibatch-size, --num-envs), or use --device cpu"
         ) from error

@@ -28,7 +28,7 @@ class ChunkSettings(Settings):
     """The length of chunks, and how much of each is executed."""
 
     chunk: int = option(16, "actions in a chunk", POSITIVE)
-    execute: int = option(1, "steps from one prediction of a chunk to the next", POSITIVE)
+    execute: int = option(1, "steps between predictions of chunks", POSITIVE)
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -32,14 +32,14 @@ Batch = TypeVar("Batch")
 class FittingSettings(Settings):
     """How a network is fitted to demonstrations by AdamW."""
 
-    batches: int = option(20_000, "batches in all", POSITIVE)
-    batch_size: int = option(32, "samples per batch; of transformer-bc, windows", POSITIVE)
+    batches: int = option(20_000, "training batches", POSITIVE)
+    batch_size: int = option(32, "samples (for transformer-bc, windows) per batch", POSITIVE)
     learning_rate: float = option(
         5e-4, "AdamW's initial learning rate; annealed linearly to 0", POSITIVE
     )
     weight_decay: float = option(1e-4, "AdamW's weight decay", NOT_NEGATIVE)
     augment: str = augment_option("noise+translation+rotation")
-    log_every: int = option(50, "batches between lines of metrics", POSITIVE)
+    log_every: int = option(50, "batches between logged metrics", POSITIVE)
 
     @property
     def augmentations(self) -> Augmentations:

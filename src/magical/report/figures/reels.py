@@ -69,7 +69,7 @@ def record_reels(
         reels.append(reel)
     if chosen[limit:]:
         names = ", ".join(f"{result.entry.row} on {task}" for task, result in chosen[limit:])
-        notes.append(f"Not asked for (--clips shows {limit}): {names}")
+        notes.append(f"Not shown (--clips {limit} sets the limit): {names}")
     return reels, notes
 
 
@@ -130,6 +130,6 @@ def _caption(variant: str, name: str, row: RolloutScore, clip: Clip) -> str:
 def _what_was_shown(picture: NDArray[np.uint8] | None, entry: Entry) -> tuple[str, str]:
     """An image of one observation as a data URI, and a caption."""
     if picture is None:
-        return "", f"The policy was shown {entry.observation or 'no image'}, which is no image."
-    caption = f"What the policy was shown half-way through the first of them ({entry.observation})"
+        return "", f"The policy was shown {entry.observation or 'no image'}, which is not an image."
+    caption = f"What the policy was shown halfway through the first rollout ({entry.observation})"
     return data_uri(encoded(picture, "PNG", optimize=True), "image/png"), caption

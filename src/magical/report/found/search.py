@@ -142,7 +142,7 @@ def find_results(folders: Iterable[Path | str]) -> Found:
     for result in sorted(found.results, key=lambda result: -len(result.entry.scores)):
         row = rows.setdefault(result.entry.row, [])
         if other := same_run(result, row):
-            reason = f"the same run as {other.folder}: each run counts once in a row"
+            reason = f"the same run as {other.folder}: each run counts only once in a table row"
             skipped.append(Skipped(result.folder, reason))
         else:
             row.append(result)
@@ -171,7 +171,9 @@ def search_results(folders: Iterable[Path | str], without: Path | None = None) -
         found = [*_entries(new)] or [(place, _read_entry(place)) for place in new if place == root]
         for place, entry in found:
             if place != root and not _is_planned(place, root, listed):
-                skipped.append(Skipped(place, "not a run of the plan, but of an earlier one"))
+                skipped.append(
+                    Skipped(place, "not a run of the current plan, but of an earlier one")
+                )
             elif isinstance(entry, Entry):
                 has_no_run = entry.details.get(POLICY) in policy_names()
                 results.append(Result(place, entry, None if has_no_run else _run_of(place, root)))

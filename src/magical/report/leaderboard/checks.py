@@ -66,7 +66,7 @@ def _misobserved(result: Result) -> Iterator[str]:
     """A contradiction between the observation that an entry states and that of its run."""
     trained, stated = result.config.get("observation"), result.entry.observation
     if trained is not None and trained != stated:
-        yield f"shown {stated or 'nothing stated'}, but its run was trained on {trained}"
+        yield f"observation {stated or '(not stated)'}, but its run was trained on {trained}"
 
 
 def incompleteness(entry: Entry) -> Iterator[str]:
@@ -110,10 +110,10 @@ def _observation_faults(entry: Entry) -> Iterator[str]:
     try:
         spec = parse_spec(entry.observation, entry.scores[0].env_id.task_spec)
     except MagicalError as error:
-        yield f"{error}; what is no image counts as the true state: privileged, expected true"
+        yield f"{error}; only images are not privileged: expected privileged to be true"
     else:
         if spec.num_images == 0:
-            yield f"{entry.observation} has no images, which is privileged; expected true"
+            yield f"{entry.observation} has no images: expected privileged to be true"
 
 
 def _series(version: str) -> str:
@@ -131,8 +131,8 @@ def _conflicts(result: Result, accepted: Sequence[Result]) -> Iterator[str]:
     entry = result.entry
     if other := same_run(result, accepted):
         yield (
-            f"the same run as {other.folder}, by its training_seed or, where an entry does not "
-            "state that, by its scores: each run counts once"
+            f"the same run as {other.folder}, judging by its training_seed or, if an entry states "
+            "none, by its scores: each run counts only once"
         )
         return
     # All accepted runs of a method agree, so the first one is enough.
@@ -144,12 +144,12 @@ def _conflicts(result: Result, accepted: Sequence[Result]) -> Iterator[str]:
 def mismatch(entry: Entry, other: Result) -> str:
     """How an entry's observation or sources differ from a run of its method; empty if equal."""
     for what, value, expected in (
-        ("shown", entry.observation, other.entry.observation),
+        ("observation", entry.observation, other.entry.observation),
         ("privileged", entry.privileged, other.entry.privileged),
         ("learned from", _sources(entry), _sources(other.entry)),
     ):
         if value != expected:
-            return f"{what} {value}, but of the same method {other.folder} {expected}"
+            return f"{what}: {value}, but {other.folder} of the same method has {expected}"
     return ""
 
 
@@ -157,4 +157,4 @@ def _sources(entry: Entry) -> str:
     try:
         return ", ".join(learned_from(entry.details)) or "nothing"
     except ValueError:
-        return "what is not stated"
+        return "sources that are not stated"

@@ -94,7 +94,7 @@ def make_leaderboard(
     accepted, rejected = check_entries(search_results(places, without=site))
     methods = {result.entry.method for result in accepted}
     if unknown := sorted(set(rerun) - methods):
-        raise UnknownNameError(f"expected ranked methods to mark as run again, found {unknown}")
+        raise UnknownNameError(f"expected ranked methods to mark as rerun, found {unknown}")
     return Leaderboard(make_boards(accepted), accepted, rejected, frozenset(rerun))
 
 

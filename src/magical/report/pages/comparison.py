@@ -43,7 +43,7 @@ class ComparisonPage:
         figures = [
             Figure(
                 interval_plot(self.overall, label, "difference", zero=True),
-                "Differences of means with 95% intervals: right of 0 the first method is better.",
+                "Differences of means with 95% intervals: right of 0, the first method is better.",
             ),
             Figure(
                 profile_plot(THRESHOLDS, profiles(self.methods)),
@@ -81,7 +81,7 @@ def _of_method(results: Sequence[Result], name: str) -> list[Result]:
     found = [result for result in results if result.entry.row == name]
     if not found:
         known = ", ".join(dict.fromkeys(result.entry.row for result in results))
-        raise UnknownNameError(f"--compare: {name!r} is no method here; expected one of: {known}")
+        raise UnknownNameError(f"--compare: method {name!r} is unknown; expected one of: {known}")
     return found
 
 
@@ -97,7 +97,7 @@ def _headline(first: ComparedMethod, second: ComparedMethod) -> str:
     if math.isnan(found.low):
         return f"{text} There are too few runs for an interval."
     if found.low <= 0.0 <= found.high:
-        return f"{text} The interval contains 0: this does not show which of them is better."
+        return f"{text} The interval contains 0, so this does not show which is better."
     return text
 
 

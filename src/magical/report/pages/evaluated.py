@@ -128,15 +128,15 @@ def _figures(methods: Sequence[ComparedMethod]) -> list[Figure]:
         Figure(
             profile_plot(THRESHOLDS, profiles(methods)),
             "Performance profiles: the share of runs, averaged over environments, that score above "
-            "τ; higher is better. Shaded: 95% intervals over runs, for each τ on its own.",
+            "τ; higher is better. Shaded: pointwise 95% intervals over runs.",
         ),
     ]
 
 
 def _missing(found: Found) -> TextTable | None:
     note = (
-        "Every method is expected to have each task that another has, with as many runs, with the "
-        "same seeds, on all variants."
+        "Every method is expected to have runs on each task that another method has, as many and "
+        "with the same seeds, evaluated on all variants."
         if found.planned is None
         else "Runs of the plan without scores, and variants that runs were not evaluated on."
     )
@@ -145,7 +145,7 @@ def _missing(found: Found) -> TextTable | None:
 
 
 def _skipped(rows: Sequence[tuple[str, str]]) -> TextTable | None:
-    note = "Folders whose files cannot be used; nothing in the tables comes from them."
+    note = "Folders whose files cannot be used; they contribute nothing to the tables."
     return TextTable("Skipped", ("folder", "reason"), rows, note) if rows else None
 
 

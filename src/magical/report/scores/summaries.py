@@ -26,8 +26,8 @@ AXES = tuple(variant for variant in VARIANTS if variant != "Demo")
 SHOWN = 6  # environments named in a note
 NOTE = (
     "95% intervals over training runs; those over the rollouts of a single run do not include the "
-    "spread between training runs. Interquartile mean and optimality gap have none for a single "
-    "run. Where some environments have several runs and others one, there is no interval."
+    "spread between training runs. Interquartile mean and optimality gap have no interval for a "
+    "single run. If some environments have several runs and others only one, there is no interval."
 )
 
 
@@ -64,7 +64,7 @@ def aggregate_table(methods: Sequence[ComparedMethod], entries: Sequence[Entry])
     count = len(first.env_ids)
     over = f"Over {count} environment{'s' if count != 1 else ''}."
     return TextTable(
-        "All together", tuple(header), rows, f"{over}{_left_out(first, entries)} {NOTE}"
+        "All environments", tuple(header), rows, f"{over}{_left_out(first, entries)} {NOTE}"
     )
 
 
@@ -75,7 +75,9 @@ def _left_out(method: ComparedMethod, entries: Sequence[Entry]) -> str:
     if not names:
         return ""
     more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
-    return f" Left out, since not all runs and methods have them: {', '.join(names[:SHOWN])}{more}."
+    return (
+        f" Left out because not all runs and methods have them: {', '.join(names[:SHOWN])}{more}."
+    )
 
 
 def gap_table(methods: Sequence[ComparedMethod]) -> TextTable | None:
@@ -88,9 +90,9 @@ def gap_table(methods: Sequence[ComparedMethod]) -> TextTable | None:
         for method in methods
     ]
     note = (
-        "Demo's mean score minus the variant's, by task, then the mean over the tasks that have "
-        "the variant: the larger, the worse the method generalises along that axis. Intervals as "
-        "above."
+        "The mean score on Demo minus that on the variant, by task, averaged over the tasks that "
+        "have the variant: the larger, the worse the method generalises along that axis. Intervals "
+        "as above."
     )
     return TextTable("Generalisation gaps", ("method", *map(short_variant, axes)), rows, note)
 
@@ -105,10 +107,11 @@ def improvement_table(methods: Sequence[ComparedMethod]) -> ScoreTable | None:
         for row in methods
     )
     note = (
-        "How probably a run of the row's method scores more than one of the column's, averaged "
-        "over environments; ties count half. The 95% intervals over runs are wide (they cover 99 "
-        "to 100%): with five runs they exclude 0.5 only where one method wins at least 94% of the "
-        "pairs of runs. To decide which method is better, look at the difference of the means."
+        "The probability that a run of the row's method scores higher than a run of the column's, "
+        "averaged over environments; ties count as half. The 95% intervals over runs are wide "
+        "(their coverage is 99 to 100%): with five runs they exclude 0.5 only if one method wins "
+        "at least 94% of the pairs of runs. To decide which method is better, look at the "
+        "difference of the means."
     )
     return ScoreTable("Probability of improvement", names, rows, note)
 

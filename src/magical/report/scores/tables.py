@@ -24,9 +24,9 @@ ONE_RUN = (
 )
 APART, FEW = 0.5, 5  # at most FEW runs whose means are more than APART apart are listed singly
 RUNS_APART = (
-    " Listed in brackets: the means of runs of which some succeed and some fail. Intervals over "
-    "runs are too narrow then: if one run in five fails, a 95% interval covers the truth in 48% of "
-    "cases with three runs, in 67% with five."
+    " Where some runs succeed and others fail, their means are listed in brackets. Intervals over "
+    "runs are then too narrow: if one run in five fails, a 95% interval covers the true mean in "
+    "48% of cases with three runs, and in 67% with five."
 )
 
 
@@ -169,7 +169,7 @@ def _beside(row: Row, task: Task, runs: Sequence[Entry], theirs: Mapping[str, st
     cells = {
         variant: replace(cell, difference=found.get(variant)) for variant, cell in row.cells.items()
     }
-    exact = ", Demo left out: it is nudged" if any(run.nudge for run in runs) else ""
+    exact = ", except on Demo, which is nudged" if any(run.nudge for run in runs) else ""
     return replace(row, cells=cells, note=f"{row.note}; difference from {method}{exact}")
 
 
@@ -220,7 +220,10 @@ def _horizon_note(task: Task, runs: Mapping[str, Sequence[Entry]]) -> str:
     ]
     if not other:
         return ""
-    return f" Not with the appendix's horizon of {task.horizon} control steps: {'; '.join(other)}."
+    return (
+        f" Evaluated with another horizon than the appendix's {task.horizon} control steps: "
+        f"{'; '.join(other)}."
+    )
 
 
 def _other_horizons(task: Task, entries: Sequence[Entry]) -> list[str]:
@@ -243,7 +246,7 @@ def _rule_note(task: Task, published: bool) -> str:
     if not published:
         return "Scored by the appendix's rule."
     if not _rules_differ(task):
-        return "The published code's rule and horizon are the appendix's on this task."
+        return "On this task, the published code's rule and horizon are the same as the appendix's."
     horizon = f", whose horizon is {task.published_horizon} control steps"
     return (
         "All rows are scored by the published code's rule, as the published ones are"

@@ -74,7 +74,7 @@ class RolloutSource:
         """The episode with a number; raises `NotFoundError`."""
         if episode := self._episodes.get(number):
             return episode
-        raise NotFoundError(f"rollout {number} is not kept any more; roll out again")
+        raise NotFoundError(f"rollout {number} is no longer kept; roll out again")
 
 
 def summary(number: int, episode: Trajectory | ManifestEntry) -> dict[str, Any]:

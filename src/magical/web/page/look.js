@@ -22,7 +22,7 @@ async function attempt(work) {
   try {
     return await work();
   } catch (error) {
-    say(error.message || "The server does not answer.");
+    say(error.message || "The server is not responding.");
     return null;
   }
 }

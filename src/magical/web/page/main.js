@@ -64,7 +64,7 @@ async function start() {
   try {
     await loadNames();
   } catch (error) {
-    play.say(error.message || "The server does not answer. Reload to try again.", "lost");
+    play.say(error.message || "The server is not responding. Reload to try again.", "lost");
     return;
   }
   showPage();

@@ -40,7 +40,7 @@ export class Pane {
     const parts = [demonstrator, seed === null ? null : `seed ${seed}`, this.finalScore()];
     if (policy && policy !== demonstrator) parts.push(`policy ${policy}`);
     if (!this.details.has_poses) {
-      parts.push("recorded frames only: no poses, so scores of single steps are unknown");
+      parts.push("recorded frames only: no poses, so step-by-step scores are unknown");
     }
     if (this.details.is_recovered) parts.push("poses recovered from frames");
     this.part(".legend").hidden = !this.details.actors;

@@ -129,10 +129,10 @@ function showPhase(message) {
   const key = matchMedia("(pointer: coarse)").matches ? "button" : "key";
   const text = {
     ready: `Seed ${seed}. Press a ${key} to begin.`,
-    paused: policy ? `Paused. Hand back to let ${policy} go on; a ${key} takes over.`
-      : `Paused. Press a ${key} to go on.`,
-    ended: `The end: score ${score.toFixed(2)}.${
-      deciding() ? " Keep this episode?" : " Start over, or take a new scene."}`,
+    paused: policy ? `Paused. Hand back to let ${policy} continue; a ${key} takes over.`
+      : `Paused. Press a ${key} to continue.`,
+    ended: `Episode over: score ${score.toFixed(2)}.${
+      deciding() ? " Keep this episode?" : " Start over, or try a new scene."}`,
     saving: "Saving…",
   }[phase];
   element("prompt").hidden = !text;
@@ -148,8 +148,8 @@ function showPolicy(before, message) {
   const going = phase === "playing" || phase === "paused";
   element("hand-back").disabled = !going || (acts && phase === "playing");
   if (before?.policy_acts !== acts || before?.policy !== policy) {
-    element("acting").textContent = acts ? `${name} acts. Any control takes over.`
-      : `You act, until you hand back to ${name}.`;
+    element("acting").textContent = acts ? `${name} is acting. Any control takes over.`
+      : `You are acting, until you hand back to ${name}.`;
     element("watching").toggleAttribute("data-human", !acts);
   }
   if (message.proposed) {
