@@ -50,20 +50,23 @@ def main() -> None:
     args = parser.parse_args()
     torch.set_num_threads(1)
     policies = [load_policy(run, device="cpu") for run in args.runs]
-    print("| True | " + " | ".join(task for policy in policies for task in policy.tasks) + " |")
-    print("| --- " * (1 + sum(len(policy.tasks) for policy in policies)) + "|")
+    tasks = [task for policy in policies for task in policy.tasks]
+    print("| True | " + " | ".join(tasks) + " | mean |")
+    print("| --- " * (len(tasks) + 2) + "|")
     for truths in args.truths:
-        cells = []
+        means = []
         for policy in policies:
             if not isinstance(policy, ProgramPolicy):
                 raise SystemExit("expected runs of program-bc")
             oracle = OraclePolicy(policy, truths.split("+"))
             env_ids = environments(policy.tasks, [args.variant])
             scores = evaluate(oracle, env_ids, rollouts=args.rollouts, nudge=NUDGE, workers=1)
-            for task in policy.tasks:
-                mean = np.mean([row.score for row in scores if row.env_id.task == task])
-                cells.append(f"{mean:.2f}")
-        print(f"| {truths} | " + " | ".join(cells) + " |", flush=True)
+            means += [
+                np.mean([row.score for row in scores if row.env_id.task == task])
+                for task in policy.tasks
+            ]
+        cells = " | ".join(f"{mean:.2f}" for mean in [*means, np.mean(means)])
+        print(f"| {truths} | {cells} |", flush=True)
 
 
 class OraclePolicy:

@@ -37,6 +37,8 @@ def run(args: argparse.Namespace) -> int:
     from magical.learning.intent.picture import draw_beliefs
 
     beliefs = beliefs_of(args.folder)
+    if args.picture:
+        draw_beliefs(beliefs, args.picture)
     found = {}
     for task, belief in beliefs.items():
         top = belief.explanations[: args.top]
@@ -55,7 +57,5 @@ def run(args: argparse.Namespace) -> int:
             "known": belief.is_known,
             "confidence": confidence,
         }
-    if args.picture:
-        draw_beliefs(beliefs, args.picture)
     print_json(args, found)
     return 0

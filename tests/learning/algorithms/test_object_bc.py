@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -13,6 +14,7 @@ from torch.nn.functional import cross_entropy
 
 from magical.demos import ObservationReader
 from magical.demos.generate import demonstrate
+from magical.errors import InvalidConfigError
 from magical.evaluation import evaluate
 from magical.learning import load_policy, train
 from magical.learning.algorithms import object_bc
@@ -24,6 +26,7 @@ from magical.learning.objects.parser import parse_frames
 from magical.learning.objects.table import ObjectTable, to_table
 from magical.runs import read_metrics
 from magical.scene.actions import Action, Turn
+from magical.tasks import get_task, register_task, unregister_task
 from tests.learning import tiny_runs
 from tests.learning.tiny_runs import assert_same, checkpoint
 
@@ -41,6 +44,17 @@ def small_updates_of_the_goal_model() -> Iterator[None]:
 def tiny(demos: Path, **fields: Any) -> ObjectBCConfig:
     settings = {"tasks": TASKS, "demos": str(demos), "batches": 6, "batch_size": 8}
     return tiny_runs.tiny(ObjectBCConfig, "paper", **{**settings, **fields})
+
+
+def test_tasks_with_more_objects_than_are_found_are_refused(tmp_path: Path) -> None:
+    register_task(replace(get_task("MoveToRegion"), name="Many", max_blocks=11))
+    try:
+        with pytest.raises(
+            InvalidConfigError, match=r"Many: expected at most 10 blocks .* found 11"
+        ):
+            tiny(tmp_path, tasks=("Many",))
+    finally:
+        unregister_task("Many")
 
 
 @pytest.fixture(scope="module")

@@ -165,6 +165,7 @@ def test_the_command_prints_and_draws_beliefs(
     assert found["MoveToRegion"]["confidence"]["Demo"] == pytest.approx(1.0, abs=0.05)
     assert any("RobotInside()" in line for line in lines)
     assert picture.read_bytes().startswith(b"\x89PNG")
+    assert main(["explain", str(run), "--picture", str(tmp_path / "beliefs.docx")]) == 2
 
 
 def test_runs_of_other_algorithms_are_refused(

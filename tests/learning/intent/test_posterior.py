@@ -6,12 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from magical.demos import Actor
 from magical.demos.generate import demonstrate
 from magical.learning.intent import demonstrator
 from magical.learning.intent.demonstrator import MOVE_COST, RATIONALITY, SLIPS, Episode
 from magical.learning.intent.meanings import Language
 from magical.learning.intent.posterior import Belief, infer
-from magical.learning.intent.scenes import parsed_episode
+from magical.learning.intent.scenes import moves, parsed_episode
 from magical.learning.objects.data import parse_demonstrations
 from magical.learning.objects.parser import parse_frames
 from magical.scene import Poses, Scene
@@ -59,7 +60,7 @@ def test_the_likelihood_is_that_of_a_softly_rational_demonstrator(
         demonstrator, "_random_moves", lambda bodies, rng: np.stack([other.bodies] * 3)
     )
     goal = parse(ALL_IN)
-    found = Episode(FIX, [start, end], rng()).log_likelihood(goal)
+    found = Episode(FIX, [start, end], [end], rng()).log_likelihood(goal)
     before, after, elsewhere = (plain_work(goal, FIX, each) for each in (start, end, other))
 
     def preference(here: float, there: float) -> float:
@@ -135,6 +136,36 @@ def test_the_programs_that_explain_demonstrations_move_what_was_moved(belief: Be
         assert not moves & set(matched.moved(FIX))
 
 
+def test_what_a_watched_policy_moved_is_no_evidence() -> None:
+    shown = demonstrate("magical/FixColour-Demo-v0", 0)
+    actors = np.full(len(shown), Actor.POLICY)
+    actors[-3:] = Actor.HUMAN
+    demonstrations = (("FixColour", replace(shown, actors=actors)),)
+    (parsed,) = parse_demonstrations(demonstrations, parse_frames)
+    assert not parsed.carries
+    belief = infer([parsed_episode(parsed, rng())])
+    assert repr(belief.explanations[0].program) == "RobotInside()"
+
+
+def test_moves_start_where_the_last_one_ended_unless_a_watched_policy_acted() -> None:
+    shown = demonstrate("magical/MatchRegions-Demo-v0", 0)
+    (parsed,) = parse_demonstrations((("MatchRegions", shown),), parse_frames)
+    (_, _, before), (_, start, end), *others = parsed.carries
+    ends = [before + 1, end + 1, *(last + 1 for *_, last in others)]
+    assert moves(parsed) == ([0, *ends], ends)
+    actors = np.full(len(shown), Actor.HUMAN)
+    actors[: before + 1] = Actor.POLICY
+    taken_over = parsed._replace(trajectory=replace(shown, actors=actors))
+    assert moves(taken_over) == ([start, *ends[1:]], ends[1:])
+
+
+def test_nothing_explains_scenes_for_which_the_language_has_no_goal() -> None:
+    empty = replace(FIX, blocks=(), regions=())
+    start = Poses.at_rest(empty)
+    belief = infer([Episode(empty, [start, start], [start], rng())])
+    assert belief == Belief([], unexplained=1.0, largest=0.0)
+
+
 def test_random_motion_is_not_explained() -> None:
     generator = np.random.default_rng(3)
     scene = TASKS["MoveToRegion"].demo
@@ -147,7 +178,7 @@ def test_random_motion_is_not_explained() -> None:
             block = int(generator.integers(FIRST_BLOCK, len(bodies)))
             bodies[block, :2] = generator.uniform(-0.85, 0.85, 2)
             states.append(Poses(bodies))
-        episodes.append(Episode(scene, states, generator))
+        episodes.append(Episode(scene, states, states[1:], generator))
     belief = infer(episodes)
     assert not belief.is_explained
     assert "no program explains" in belief.verdict

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 from magical.demos import Actor
 from magical.demos.generate import demonstrate
@@ -24,9 +25,10 @@ def test_steps_of_a_watched_policy_are_not_sampled() -> None:
     rng = np.random.default_rng(0)
     assert set(data.sample_each(500, rng).tolist()) == set(range(12))
     assert data.sample_eventful(500, rng).max() < 12
+    assert torch.equal(data.destinations[0], data.table.robot[12, :2])  # where the person stopped
     watched = replace(trajectory, actors=np.full(len(trajectory), Actor.POLICY))
     with pytest.raises(DemonstrationsError, match=f"{TASK}: expected steps that were demonstr"):
-        ObjectData(parse_demonstrations(((TASK, watched),), parse_frames), [TASK])
+        parse_demonstrations(((TASK, watched),), parse_frames)
 
 
 def test_standing_still_is_learned_where_no_block_is_left_to_move() -> None:

@@ -29,7 +29,7 @@ def parsed(robot: np.ndarray, blocks: np.ndarray, colours: np.ndarray) -> Parsed
 
 def test_the_target_is_the_block_that_is_moved_next_and_then_the_robot() -> None:
     robot, blocks = episode()
-    targets, destinations = find_goals(robot, blocks, np.ones(30, np.bool_))
+    targets, destinations = find_goals(robot, blocks, np.ones(30, np.bool_), 30)
     assert targets.tolist() == [1] * 15 + [ROBOT_TARGET] * 15
     assert np.allclose(destinations[:15], [0.5, 0.0])
     assert np.allclose(destinations[15:], robot[-1, :2])
@@ -37,7 +37,7 @@ def test_the_target_is_the_block_that_is_moved_next_and_then_the_robot() -> None
 
 def test_what_random_actions_move_is_no_goal() -> None:
     robot, blocks = episode()
-    targets, _ = find_goals(robot, blocks, np.arange(30) >= 15)
+    targets, _ = find_goals(robot, blocks, np.arange(30) >= 15, 30)
     assert (targets == ROBOT_TARGET).all()
 
 
@@ -49,19 +49,19 @@ def test_a_block_that_glides_on_from_a_random_push_is_not_moved_on_purpose() -> 
     blocks = np.stack([x, np.zeros_like(x)], axis=1)[:, None]
     robot = np.zeros((len(x), 3))
     intended = ~np.isin(np.arange(16), (8, 9))
-    targets, destinations = find_goals(robot, blocks, intended)
+    targets, destinations = find_goals(robot, blocks, intended, 16)
     assert targets.tolist() == [0] * 5 + [ROBOT_TARGET] * 11
     assert destinations[0].tolist() == pytest.approx([0.16, 0.0])
     steps[11:13] = 0.03  # then pushed on
     x = np.concatenate([[0.0], np.cumsum(steps)])
     blocks = np.stack([x, np.zeros_like(x)], axis=1)[:, None]
-    _, destinations = find_goals(robot, blocks, intended)
+    _, destinations = find_goals(robot, blocks, intended, 16)
     assert destinations[0].tolist() == pytest.approx([x[13], 0.0])
 
 
 def test_without_blocks_the_target_is_the_robot() -> None:
     robot, _ = episode()
-    targets, _ = find_goals(robot, np.full((31, MAX_BLOCKS, 2), FAR), np.ones(30, np.bool_))
+    targets, _ = find_goals(robot, np.full((31, MAX_BLOCKS, 2), FAR), np.ones(30, np.bool_), 30)
     assert (targets == ROBOT_TARGET).all()
 
 

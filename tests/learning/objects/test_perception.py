@@ -63,6 +63,11 @@ def shuffled(frames: Pixels, robot_alone: bool = False) -> ParsedFrames:
     return parsed._replace(**{name: getattr(parsed, name)[:, ::-1] for name in names})
 
 
+def plain(frames: Pixels) -> ParsedFrames:
+    """A perception that cannot be asked for the robot alone."""
+    return parse_frames(frames)
+
+
 def test_blocks_may_come_in_any_order() -> None:
     trajectory = demonstrate("magical/FixColour-Demo-v0", seed=3)
     frames = ObservationReader(trajectory, "LoRes4A").read(np.arange(2))[..., -3:]
@@ -76,6 +81,8 @@ def test_other_names_are_refused(expert_demos: Path) -> None:
         config(ObjectBCConfig, expert_demos, "eyes")
     with pytest.raises(PluginError, match="expected a function of frames, found list"):
         get_perception(f"{__name__}:seen")
+    with pytest.raises(PluginError, match=r"plain.: fails for a white frame: TypeError: plain"):
+        get_perception(f"{__name__}:plain")
 
 
 @pytest.mark.parametrize(

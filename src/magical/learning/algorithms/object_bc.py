@@ -19,10 +19,11 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from magical.errors import InvalidConfigError
 from magical.learning.algorithms import Algorithm
 from magical.learning.config import Config, DemonstrationSettings
 from magical.learning.data.expert_data import load_demonstrations
-from magical.learning.objects.components import Pixels
+from magical.learning.objects.components import MAX_REGIONS, Pixels
 from magical.learning.objects.control import Controller, control_inputs
 from magical.learning.objects.data import (
     OBSERVATION,
@@ -32,6 +33,7 @@ from magical.learning.objects.data import (
 )
 from magical.learning.objects.goals import BORDER, CANDIDATES, REFITTED, GoalModel, goal_losses
 from magical.learning.objects.hindsight import ROBOT_TARGET
+from magical.learning.objects.parser import MAX_BLOCKS
 from magical.learning.objects.perception import PARSER, PERCEPTIONS, get_perception
 from magical.learning.objects.table import ObjectTable, to_table
 from magical.learning.running.averages import Averages
@@ -44,6 +46,7 @@ from magical.learning.settings import FRACTION, NOT_NEGATIVE, POSITIVE, option
 from magical.observe.pixels import CHANNELS, STACK
 from magical.runs.sources import BENCHMARK_PRIOR, OBJECT_PARSER
 from magical.scene.actions import MIRRORED_ACTIONS
+from magical.tasks import get_task
 
 STANDS, STANDS_ANGLE = 0.01, 0.05  # units, rad: a robot that moved less over the stack stands still
 WEIGHT_DECAY = 1e-2  # of the controller
@@ -98,6 +101,16 @@ class ObjectBCConfig(Config):
         4.0, "the same when a block is left to move but the robot has not moved", POSITIVE
     )
     log_every: int = option(50, "batches between logged metrics", POSITIVE)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for task in map(get_task, self.tasks):
+            if task.max_blocks > MAX_BLOCKS or task.max_regions > MAX_REGIONS:
+                raise InvalidConfigError(
+                    f"{task.name}: expected at most {MAX_BLOCKS} blocks and {MAX_REGIONS} regions, "
+                    f"since {self.algorithm} finds no more, found {task.max_blocks} and "
+                    f"{task.max_regions}"
+                )
 
     @property
     def observation(self) -> str:

@@ -25,16 +25,30 @@ MARGIN = 0.12  # units from the walls to the places of other moves
 
 
 class Episode:
-    """A demonstration as states: a move leads from each to the next; the last is final.
+    """A demonstration as moves, after which the demonstrator stopped.
 
     Attributes:
         scene: the initial scene.
     """
 
-    def __init__(self, scene: Scene, states: Sequence[Poses], rng: np.random.Generator) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        states: Sequence[Poses],
+        ends: Sequence[Poses],
+        rng: np.random.Generator,
+    ) -> None:
+        """Create an episode.
+
+        Args:
+            scene: the initial scene.
+            states: the state in which each move was made, and the final one.
+            ends: the state to which each move led.
+            rng: samples the moves that could have been made instead.
+        """
         self.scene, self._count = scene, len(states)
         others = [_random_moves(state.bodies, rng) for state in states]
-        bodies = np.stack([state.bodies for state in states])
+        bodies = np.stack([state.bodies for state in (*states, *ends)])
         self._states = States(scene, np.concatenate([bodies, *others]))
 
     def log_likelihood(self, goal: Goal) -> float:
@@ -42,9 +56,10 @@ class Episode:
         work = self._states.work(goal)
         if not np.isfinite(work).all():
             return -np.inf
-        states, others = work[: self._count], work[self._count :].reshape(self._count, -1)
+        n = self._count
+        states, ends, others = work[:n], work[n : 2 * n - 1], work[2 * n - 1 :].reshape(n, -1)
         alternatives = np.exp(RATIONALITY * (states[:, None] - others - MOVE_COST)).mean(axis=1)
-        made = np.exp(RATIONALITY * (states[:-1] - states[1:] - MOVE_COST))
+        made = np.exp(RATIONALITY * (states[:-1] - ends - MOVE_COST))
         rational = np.append(made, 1.0) / (1.0 + alternatives)
         return float(np.log((1.0 - SLIPS) * rational + SLIPS / 2).sum())
 

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from magical.errors import UnknownNameError
 from magical.extras import require
 from magical.files.atomic import write_atomically
 from magical.learning.intent.acting import BORDER, CELLS, Intention
@@ -30,6 +31,7 @@ def draw_beliefs(beliefs: Mapping[str, Belief], path: Path) -> None:
 
     Raises:
         MissingDependencyError: the extra `report` is not installed.
+        UnknownNameError: the suffix is not that of a picture.
     """
     require("report")
     from matplotlib.figure import Figure
@@ -37,13 +39,16 @@ def draw_beliefs(beliefs: Mapping[str, Belief], path: Path) -> None:
     columns = min(COLUMNS, len(beliefs))
     rows = -(-len(beliefs) // columns)
     figure = Figure(figsize=(SIZE * columns, (SIZE + HEADING) * rows), layout="constrained")
+    kind = path.suffix[1:].lower() or "png"
+    if kind not in figure.canvas.get_supported_filetypes():
+        raise UnknownNameError(f"{path}: expected the suffix of a picture, such as .png or .svg")
     axes = list(figure.subplots(rows, columns, squeeze=False).flat)
     for axis in axes:
         axis.set_axis_off()
     for axis, (task, belief) in zip(axes, beliefs.items(), strict=False):
         _draw(axis, task, belief)
     with write_atomically(path) as file:
-        figure.savefig(file, format=path.suffix[1:] or "png")
+        figure.savefig(file, format=kind)
 
 
 def _draw(axis: Any, task: str, belief: Belief) -> None:

@@ -73,6 +73,8 @@ def infer(episodes: Sequence[Episode]) -> Belief:
     """The posterior over the program that the demonstrations have in common."""
     search = _Search(episodes)
     found = search.run()
+    if found[0][0] == -math.inf:  # the language has no goal for such scenes
+        return Belief([], 1.0, 0.0)
     weights = [math.exp(value - found[0][0]) for value, _ in found]
     total = sum(weights)
     explanations = [

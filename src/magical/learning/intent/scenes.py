@@ -38,10 +38,28 @@ def parsed_poses(parsed: ParsedFrames, frame: int, scene: Scene) -> Poses:
 
 
 def parsed_episode(shown: ParsedDemonstration, rng: np.random.Generator) -> Episode:
-    """A demonstration as its first state and those after its carries; without any, the last."""
+    """A demonstration as the moves that were made."""
     parsed, scene = shown.parsed, parsed_scene(shown.parsed, 0)
-    ends = [last + 1 for _, _, last in shown.carries]
-    if ends:  # where a carry leaves the robot is not a goal
+    if shown.carries:  # where a carry leaves the robot is not a goal
         parsed = parsed._replace(robot=np.repeat(parsed.robot[:1], len(parsed.robot), axis=0))
-    times = [0, *(ends or [len(shown.trajectory)])]
-    return Episode(scene, [parsed_poses(parsed, t, scene) for t in times], rng)
+    states, ends = ([parsed_poses(parsed, t, scene) for t in frames] for frames in moves(shown))
+    return Episode(scene, states, ends, rng)
+
+
+def moves(shown: ParsedDemonstration) -> tuple[list[int], list[int]]:
+    """The frames in which moves start, with the final one, and those in which they end.
+
+    Moves are the carries or, without any, the way of the robot. Each starts where the last one
+    ended, unless a watched policy acted in between.
+    """
+    demonstrated = shown.trajectory.is_demonstrated
+    spans = [(first, last + 1) for _, first, last in shown.carries]
+    if not spans:
+        others = np.flatnonzero(~demonstrated[: shown.end])
+        spans = [(int(others[-1]) + 1 if len(others) else 0, shown.end)]
+    ends = [end for _, end in spans]
+    starts = [
+        before if demonstrated[before:start].all() else start
+        for before, (start, _) in zip([0, *ends], [*spans, (shown.end, shown.end)], strict=True)
+    ]
+    return starts, ends

@@ -36,6 +36,11 @@ class ParsedDemonstration(NamedTuple):
         """See `find_carries`."""
         return find_carries(self.parsed.robot, self.parsed.blocks, self.trajectory.is_intended)
 
+    @property
+    def end(self) -> int:
+        """The frame in which the demonstrator's last action ended."""
+        return int(np.flatnonzero(self.trajectory.is_demonstrated)[-1]) + 1
+
 
 class ObjectData:
     """The S samples of demonstrations: parsed scenes, goals found in hindsight, actions.
@@ -58,13 +63,13 @@ class ObjectData:
         """Find the goals of all steps.
 
         Steps in which a watched policy acted on its own are never sampled.
-
-        Raises:
-            DemonstrationsError: no samples of a task are left.
         """
         trajectories = [each.trajectory for each in demonstrations]
         parsed = ParsedFrames.joined(each.parsed.select(slice(-1)) for each in demonstrations)
-        goals = [find_goals(p.robot, p.blocks, t.is_intended) for _, t, p in demonstrations]
+        goals = [
+            find_goals(each.parsed.robot, each.parsed.blocks, each.trajectory.is_intended, each.end)
+            for each in demonstrations
+        ]
         targets, destinations = map(np.concatenate, zip(*goals, strict=True))
         actions = np.concatenate([each.labels for each in trajectories])
         of_each = [task_names.index(each.task) for each in demonstrations]
@@ -80,12 +85,6 @@ class ObjectData:
         self.relations = torch.cat(chunks)
         self._rows = [np.flatnonzero((tasks == k) & demonstrated) for k in range(len(task_names))]
         self._eventful = np.flatnonzero((moves | (targets == ROBOT_TARGET)) & demonstrated)
-        for name, rows in zip(task_names, self._rows, strict=True):
-            if not len(rows):
-                raise DemonstrationsError(
-                    f"{name}: expected steps that were demonstrated, found only those of a watched "
-                    "policy"
-                )
 
     def sample_eventful(self, size: int, rng: np.random.Generator) -> Tensor:
         """Sample rows with replacement, except idle ones with a block as the target.
@@ -114,10 +113,18 @@ def _moves(parsed: ParsedFrames) -> NDArray[np.bool_]:
 def parse_demonstrations(
     demonstrations: TaskTrajectories, perception: Perception
 ) -> list[ParsedDemonstration]:
-    """Find the objects in all frames of the demonstrations."""
+    """Find the objects in all frames, except where a watched policy acted in all steps.
+
+    Raises:
+        DemonstrationsError: no demonstrations of a task are left.
+    """
+    kept = [(task, each) for task, each in demonstrations if each.is_demonstrated.any()]
+    for task in {task for task, _ in demonstrations} - {task for task, _ in kept}:
+        raise DemonstrationsError(
+            f"{task}: expected steps that were demonstrated, found only those of a watched policy"
+        )
     return [
-        ParsedDemonstration(task, trajectory, parse_trajectory(trajectory, perception))
-        for task, trajectory in demonstrations
+        ParsedDemonstration(task, each, parse_trajectory(each, perception)) for task, each in kept
     ]
 
 

@@ -3,7 +3,7 @@
 A demonstration is cut into carries: spans in which one block moves, the one nearest to the gripper.
 Before and during a carry, the target is its block, and the destination is where that block lay when
 the carry ended. After the last carry, the target is the robot, and the destination is where the
-robot stops. So every recorded state gets the goal that was reached from it, as in the relabelling
+robot stopped. So every recorded state gets the goal that was reached from it, as in the relabelling
 of Andrychowicz et al., "Hindsight experience replay", NeurIPS 2017.
 """
 
@@ -47,7 +47,9 @@ def track(parsed: ParsedFrames) -> ParsedFrames:
     return parsed._replace(blocks=blocks, colours=colours, shapes=shapes)
 
 
-def find_goals(robot: Floats, blocks: Floats, intended: NDArray[np.bool_]) -> tuple[Ints, Floats]:
+def find_goals(
+    robot: Floats, blocks: Floats, intended: NDArray[np.bool_], end: int
+) -> tuple[Ints, Floats]:
     """The goals that were reached from each state of a tracked episode of T steps.
 
     Args:
@@ -55,13 +57,14 @@ def find_goals(robot: Floats, blocks: Floats, intended: NDArray[np.bool_]) -> tu
         blocks: (T + 1, N, 2) positions; absent ones never move.
         intended: (T,), whether the demonstrator's own action was executed: what other actions move
             is not a goal.
+        end: the frame in which the demonstrator's last action ended.
 
     Returns:
         Targets (T,), a block's number or ROBOT_TARGET, and destinations (T, 2).
     """
     steps = len(robot) - 1
     targets = np.full(steps, ROBOT_TARGET, np.int64)
-    destinations = np.repeat(robot[-1:, :2], steps, axis=0)
+    destinations = np.repeat(robot[end : end + 1, :2], steps, axis=0)
     first = 0
     for block, _, last in find_carries(robot, blocks, intended):
         targets[first : last + 1] = block

@@ -29,7 +29,7 @@ def get_perception(name: str) -> Perception:
     """The parser, or the function that an entry point or `module:NAME` refers to.
 
     Raises:
-        PluginError: it cannot be imported, is not callable, or returns something else.
+        PluginError: it cannot be imported, is not callable, fails, or returns something else.
     """
     if name == PARSER:
         return parse_frames
@@ -39,7 +39,11 @@ def get_perception(name: str) -> Perception:
             f"perception {name!r}: expected a function of frames, found {type(perception).__name__}"
         )
     blank = np.full((1, FRAME_SIZE, FRAME_SIZE, 3), 255, np.uint8)
-    expected, found = parse_frames(blank), perception(blank, robot_alone=True)
+    try:
+        expected, found = parse_frames(blank), perception(blank, robot_alone=True)
+    except Exception as error:
+        reason = f"{type(error).__name__}: {error}"
+        raise PluginError(f"perception {name!r}: fails for a white frame: {reason}") from error
     if not isinstance(found, ParsedFrames) or _layout(found) != _layout(expected):
         raise PluginError(
             f"perception {name!r}: expected ParsedFrames of {_layout(expected)} for one frame, "
