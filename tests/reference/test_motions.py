@@ -3,6 +3,7 @@
 import copy
 import json
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import pytest
 
 from magical.conformance import motions
 from magical.conformance.recordings import DATA
+from magical.errors import RecordingError
 
 
 @pytest.fixture(scope="module")
@@ -62,6 +64,24 @@ def test_a_wrong_motion_is_detected(recorded: dict[str, Any], computed: dict[str
     assert failed == {
         "push position", "push block angle", "turn robot angle", "drive first steps",
     }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("key", "change"),
+    [
+        ("block_poses", lambda poses: poses[:, 0]),  # one block's for all
+        ("finger_angles", lambda angles: angles[:, :1]),
+        ("robot_pose", lambda poses: poses[1:]),
+    ],
+)
+def test_results_of_other_shapes_are_refused(
+    recorded: dict[str, Any], key: str, change: Callable[[Any], Any], tmp_path: Path
+) -> None:
+    motion = recorded["push_two_square"]
+    changed = {**motion, key: change(np.array(motion[key])).tolist()}
+    (tmp_path / "motions.json").write_text(json.dumps({"push": changed}))
+    with pytest.raises(RecordingError, match=f"push: {key} not of shape"):
+        motions.load(tmp_path / "motions.json")
 
 
 def test_without_recorded_results_it_only_computes(

@@ -14,8 +14,15 @@ import pytest
 
 from magical.demos import DatasetWriter
 from magical.demos.generate import demonstrate
-from magical.envs import EnvId
-from magical.errors import CheckpointError, NotFoundError, PolicyError, RunFolderError
+from magical.envs import EnvId, parse_env_id
+from magical.errors import (
+    CheckpointError,
+    InvalidConfigError,
+    NotFoundError,
+    PolicyError,
+    RunFolderError,
+)
+from magical.tasks import TASKS
 from magical.web.driver import Driver, Proposal, episode_probabilities, roll_out
 from magical.web.episode import PlayedEpisode
 from magical.web.policies import EXPERT, Policies
@@ -50,6 +57,25 @@ def test_runs_of_two_folders_are_told_apart(tmp_path: Path) -> None:
 def test_a_run_folder_itself_can_be_given(tmp_path: Path) -> None:
     write_config(tmp_path / "mine", algorithm="bc", tasks=[])
     assert Policies([tmp_path / "mine"]).find(1).name == "mine"
+
+
+def test_generated_tasks_are_offered_where_a_player_starts_or_a_run_learned_them(
+    tmp_path: Path,
+) -> None:
+    write_config(tmp_path / "mine", algorithm="bc", tasks=["Generated0004"])
+    policies = Policies([tmp_path], ["Generated0003"])
+    assert policies.tasks == (*TASKS, "Generated0003", "Generated0004")
+    assert policies.find(0).tasks == policies.tasks
+    assert roll_out(policies, 0, parse_env_id("magical/Generated0004-Demo-v0"), 0)
+
+
+def test_a_run_may_be_named_like_a_policy_of_the_package(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_config(tmp_path / "random", algorithm="bc", tasks=["FindDupe"])
+    with pytest.raises(InvalidConfigError, match="expected the setting demos"):  # read as a run
+        Policies([Path()]).load(1)
 
 
 def test_damaged_runs_are_listed_and_a_missing_folder_is_an_error(tmp_path: Path) -> None:

@@ -250,6 +250,15 @@ def test_play_keep_load_scrub_train_and_watch(
         described = "panes[0].part('.grid').getAttribute('aria-label')"
         assert tab.evaluate(described).startswith("Action probabilities: ")
 
+        choose(tab, "judge", "")
+        listed = "document.querySelector('[data-episode^={}]')"
+        for source, button in (("d0", 0), ("rollouts", 1)):  # the rollout beside the demonstration
+            choose(tab, "source", source)
+            tab.wait_for(f"{listed.format(source)} !== null")
+            tab.evaluate(f"{listed.format(source)}.children[{button}].click()")
+            tab.wait_for(f"panes[{button}]?.source === '{source}' && panes[{button}].painted")
+        tab.wait_for("panes.every((pane) => pane.probabilities)")  # of the rollout's policy
+
         tab.evaluate("element('to-play').click()")
         choose(tab, "who", "1")
         tab.wait_for("latest.policy === 1 && latest.steps > 2 && latest.probabilities?.length")

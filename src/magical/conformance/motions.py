@@ -48,11 +48,12 @@ def _check(name: str, motion: Motion) -> None:
     _scene(motion)
     if not all(type(a) is int and a in range(NUM_ACTIONS) for a in motion["actions"]):
         raise ValueError(f"{name}: actions that are not integers from 0 to {NUM_ACTIONS - 1}")
-    for key in _RESULTS:
-        if key in motion and len(motion[key]) != len(motion["actions"]) + 1:
-            raise ValueError(f"{name}: {key} not one more than actions")
-    if all(key in motion for key in _RESULTS):
-        _errors(motion, motion)  # raises an error if array shapes are wrong
+    blocks = len(motion["blocks"])
+    rows: tuple[tuple[int, ...], ...] = (3,), (2,), (blocks, 3) if blocks else (0,)
+    for key, row in zip(_RESULTS, rows, strict=True):
+        expected = (len(motion["actions"]) + 1, *row)
+        if key in motion and np.array(motion[key], np.float64).shape != expected:
+            raise ValueError(f"{name}: {key} not of shape {expected}")
 
 
 write = write_json

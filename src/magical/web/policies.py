@@ -49,19 +49,21 @@ class Policies:
 
     Args:
         folders: run folders, or folders with run folders in them.
+        tasks: tasks to offer besides the registered ones, such as generated ones.
 
     Raises:
         RunFolderError: a folder does not exist.
     """
 
-    def __init__(self, folders: Sequence[Path] = ()) -> None:
+    def __init__(self, folders: Sequence[Path] = (), tasks: Sequence[str] = ()) -> None:
         for folder in folders:
             if not folder.is_dir():
                 raise RunFolderError(f"{folder}: expected a folder with runs, found none")
         names = unique_names(folders) if len(folders) > 1 else [""] * len(folders)
         self._folders = dict(zip(names, folders, strict=True))
-        self._entries = [PolicyEntry(EXPERT_NAME, tuple(filter(has_expert, TASKS)))]
-        self._load = lru_cache(MAX_LOADED)(lambda folder, _version: load_policy(folder))
+        self._tasks = (*TASKS, *tasks)
+        self._entries = [PolicyEntry(EXPERT_NAME, ())]
+        self._load = lru_cache(MAX_LOADED)(lambda folder, _: load_policy(folder.absolute()))
         self._lock = threading.Lock()  # for the list, and so that no run is loaded twice at once
         if folders:
             with suppress(ImportError):  # a later import would hold up all players for seconds
@@ -77,7 +79,14 @@ class Policies:
                     if folder not in known:
                         self._entries.append(_entry(name, root, folder))
                         known.add(folder)
+            self._entries[EXPERT] = PolicyEntry(EXPERT_NAME, tuple(filter(has_expert, self.tasks)))
             return tuple(self._entries)
+
+    @property
+    def tasks(self) -> tuple[str, ...]:
+        """The tasks to offer: registered ones, and others that were given or that a run learned."""
+        learned = (task for entry in self._entries for task in entry.tasks)
+        return tuple(dict.fromkeys((*self._tasks, *learned)))
 
     def find(self, number: int) -> PolicyEntry:
         """The policy with a number; raises `NotFoundError`."""

@@ -73,7 +73,8 @@ class PlayServer:
     ) -> None:
         recorded = [record] if record else []
         folders = {path.resolve(): path for path in [*datasets, *recorded]}
-        policies, rng = Policies(runs), np.random.default_rng()  # samples the seeds of scenes
+        policies = Policies(runs, [env_id.task])
+        rng = np.random.default_rng()  # samples the seeds of scenes
         self._writer = DatasetWriter(record) if record else None
         self._saving: set[asyncio.Task[None]] = set()
         self._library = Library(list(folders.values()), policies)
@@ -157,7 +158,8 @@ def listen(host: str, port: int) -> sockets.socket:
     """
     try:
         family = sockets.AF_INET6 if ":" in host else sockets.AF_INET
-        listening = sockets.create_server((host, port), family=family)
+        dual = host == "::" and sockets.has_dualstack_ipv6()
+        listening = sockets.create_server((host, port), family=family, dualstack_ipv6=dual)
         # asyncio disables Nagle's algorithm only if the socket's protocol is stated to be TCP.
         tcp = (family, sockets.SOCK_STREAM, sockets.IPPROTO_TCP)
         return sockets.socket(*tcp, fileno=listening.detach())

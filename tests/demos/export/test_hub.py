@@ -176,6 +176,9 @@ def test_published_demonstrations_are_refused(
     with pytest.raises(DatasetError, match=r"1 of 2 .*'demo-1.pkl.gz'.* no licence"):
         push(Dataset.open(tmp_path / "mixed"), REPO, "cc-by-4.0")
     assert not hub.created
+    own = {"source": "keyboard"}
+    DatasetWriter(tmp_path / "own").append(make_trajectory(metadata=own))
+    push(Dataset.open(tmp_path / "own"), REPO, "mit")
 
 
 def test_what_is_damaged_is_neither_pushed_nor_pulled(

@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from magical.cli import main
-from magical.demos import Trajectory
+from magical.demos import DatasetWriter, Trajectory
 from magical.demos.export.video import BANNER, LAST_FRAME_REPEATS, video_frames, write_video
 from magical.errors import DatasetError
 from magical.scene.poses import FIRST_BLOCK
@@ -75,6 +75,21 @@ def test_a_video_shows_the_score_of_every_time_step(make_trajectory: MakeTraject
 @pytest.mark.parametrize("change", [["--out", "video.avi"], ["--out", "f.webp", "--index", "9"]])
 def test_invalid_video_options(mixed: Path, change: list[str]) -> None:
     assert main(["demos", "video", str(mixed), *change]) in (1, 2)
+
+
+def test_demonstrations_are_numbered_as_their_files_are(
+    make_trajectory: MakeTrajectory, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, video = tmp_path / "gaps", ["--out", str(tmp_path / "v.webp"), "--index"]
+    writer = DatasetWriter(folder)
+    for steps in (1, 2, 3):
+        writer.append(make_trajectory(steps=steps))
+    next(folder.glob("trajectories/000001-*")).unlink()
+    assert main(["demos", "info", str(folder), "--repair"]) == 0
+    assert main(["demos", "video", str(folder), *video, "2", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out.splitlines()[-1])["frames"] == 4 + LAST_FRAME_REPEATS
+    assert main(["demos", "video", str(folder), *video, "1"]) == 1
+    assert "expected number 1, found 2 demonstrations" in capsys.readouterr().err
 
 
 def test_a_webp_of_too_many_frames_is_refused(

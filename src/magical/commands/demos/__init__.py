@@ -25,15 +25,22 @@ DATASET = "dataset to create or append to"
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the sub-commands and their arguments."""
     add = parser.add_subparsers(title="commands", metavar="COMMAND", required=True).add_parser
-    _import(add("import", help="import published human demonstrations"))
-    _download(add("download", help=f"download and import {human.ARCHIVE}"))
-    _generate(add("generate", help="roll out the scripted experts"))
-    _info(add("info", help="show what a dataset contains, and its problems"))
-    _replay(add("replay", help="resimulate the recorded actions and score the result"))
-    _video(add("video", help="make a video, with both views side by side"))
-    _export(add("export", help="export a dataset to Minari or LeRobot"))
-    _push(add("push", help="upload a dataset to the Hugging Face Hub"))
-    _pull(add("pull", help="download a dataset from the Hugging Face Hub"))
+    replay = "resimulate the recorded actions and score the result"
+    for name, run_demos, describe, meaning in (
+        ("import", human.run_import, _import, "import published human demonstrations"),
+        ("download", human.run_download, _download, f"download and import {human.ARCHIVE}"),
+        ("generate", datasets.run_generate, _generate, "roll out the scripted experts"),
+        ("info", datasets.run_info, _info, "show what a dataset contains, and its problems"),
+        ("replay", datasets.run_replay, _dataset, replay),
+        ("video", datasets.run_video, _video, "make a video, with both views side by side"),
+        ("export", datasets.run_export, _export, "export a dataset to Minari or LeRobot"),
+        ("push", datasets.run_push, _push, "upload a dataset to the Hugging Face Hub"),
+        ("pull", datasets.run_pull, _pull, "download a dataset from the Hugging Face Hub"),
+    ):
+        command = add(name, help=meaning)
+        command.set_defaults(run_demos=run_demos)
+        describe(command)
+        add_json(command)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -42,7 +49,6 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _import(parser: argparse.ArgumentParser) -> None:
-    parser.set_defaults(run_demos=human.run_import)
     parser.add_argument(
         "source", type=Path, metavar="SRC", help="a folder with *.pkl.gz files, or one such file"
     )
@@ -50,7 +56,6 @@ def _import(parser: argparse.ArgumentParser) -> None:
 
 
 def _download(parser: argparse.ArgumentParser) -> None:
-    parser.set_defaults(run_demos=human.run_download)
     parser.add_argument("--base-url", metavar="URL", help=f"use it instead of {human.ARCHIVE}")
     parser.add_argument(
         "--files",
@@ -79,11 +84,9 @@ def _importing(parser: argparse.ArgumentParser) -> None:
         help="import demonstrations that are in several files only once",
     )
     add_workers(parser)
-    add_json(parser)
 
 
 def _generate(parser: argparse.ArgumentParser) -> None:
-    parser.set_defaults(run_demos=datasets.run_generate)
     add_several(parser, "--env", "environment ids", "ID", required=True)
     add_count(parser, "-n", "demonstrations in each environment", default=25)
     add_out(parser, DATASET, required=True)
@@ -100,35 +103,23 @@ def _generate(parser: argparse.ArgumentParser) -> None:
     add_number(parser, "--perturb", meaning, most=1, metavar="P")
     _action_space(parser, "type of the stored actions (default: discrete)", default="discrete")
     add_workers(parser)
-    add_json(parser)
 
 
 def _info(parser: argparse.ArgumentParser) -> None:
-    parser.set_defaults(run_demos=datasets.run_info)
     _dataset(parser)
     parser.add_argument(
         "--repair", action="store_true", help="rebuild the manifest from the intact trajectories"
     )
-    add_json(parser)
-
-
-def _replay(parser: argparse.ArgumentParser) -> None:
-    parser.set_defaults(run_demos=datasets.run_replay)
-    _dataset(parser)
-    add_json(parser)
 
 
 def _video(parser: argparse.ArgumentParser) -> None:
-    parser.set_defaults(run_demos=datasets.run_video)
     _dataset(parser)
     add_out(parser, "video to write, FILE.mp4 or FILE.webp", "FILE", required=True)
     meaning = "numbers of the demonstrations, from 0 (default: the first of each environment)"
     add_several(parser, "--index", meaning, "I", kind=number(int, 0))
-    add_json(parser)
 
 
 def _export(parser: argparse.ArgumentParser) -> None:
-    parser.set_defaults(run_demos=datasets.run_export)
     _dataset(parser)
     parser.add_argument("--to", choices=("minari", "lerobot"), required=True, help="target format")
     meaning = "lerobot: a new folder; minari: the folder of datasets (default: Minari's own)"
@@ -150,11 +141,9 @@ def _export(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--skip-damaged", action="store_true", help="leave damaged trajectories out"
     )
-    add_json(parser)
 
 
 def _push(parser: argparse.ArgumentParser) -> None:
-    parser.set_defaults(run_demos=datasets.run_push)
     _dataset(parser)
     _repository(parser)
     parser.add_argument(
@@ -165,15 +154,12 @@ def _push(parser: argparse.ArgumentParser) -> None:
         help="licence identifier of the Hub, such as cc-by-4.0",
     )
     parser.add_argument("--private", action="store_true", help="make a new repository private")
-    add_json(parser)
 
 
 def _pull(parser: argparse.ArgumentParser) -> None:
-    parser.set_defaults(run_demos=datasets.run_pull)
     _repository(parser)
     add_out(parser, "new folder to download into", "DIR", required=True)
     parser.add_argument("--revision", metavar="REV", help="a branch, tag or commit")
-    add_json(parser)
 
 
 def _repository(parser: argparse.ArgumentParser) -> None:

@@ -156,14 +156,15 @@ def run_video(args: argparse.Namespace) -> int:
     from magical.demos.export.video import write_video
 
     dataset = Dataset.open(args.dataset)
-    first = {entry.env_id: i for i, entry in reversed(list(enumerate(dataset.entries)))}
+    entries = {entry.index: entry for entry in dataset.entries}
+    first = {entry.env_id: entry.index for entry in reversed(dataset.entries)}
     chosen = args.index or sorted(first.values())
-    if not chosen or max(chosen) >= len(dataset):
-        wanted = max(chosen, default=0) + 1
+    if not chosen or not entries.keys() >= set(chosen):
+        wanted = next((f"number {i}" for i in chosen if i not in entries), "demonstrations")
         raise DatasetError(
-            f"{args.dataset}: expected {wanted} or more demonstrations, found {len(dataset)}"
+            f"{args.dataset}: expected {wanted}, found {len(dataset)} demonstrations"
         )
-    frames = write_video((dataset[i] for i in chosen), args.out)
+    frames = write_video((dataset.read(entries[i]) for i in chosen), args.out)
     print(f"wrote {args.out}: {len(chosen)} demonstrations, {frames} frames")
     print_json(args, {"out": str(args.out), "count": len(chosen), "frames": frames})
     return 0

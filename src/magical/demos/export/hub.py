@@ -111,7 +111,7 @@ def _require_publishable(dataset: Dataset) -> None:
     """Refuse the published human demonstrations, which `magical demos import` marks."""
     if not dataset.entries:
         raise DatasetError(f"{dataset.path}: expected demonstrations, found none")
-    published = [entry for entry in dataset.entries if entry.source or entry.source_sha256]
+    published = [entry for entry in dataset.entries if entry.source_sha256]
     if published:
         raise DatasetError(
             f"{dataset.path}: {len(published)} of {len(dataset)} demonstrations are from published "

@@ -24,8 +24,8 @@ import magical
 from magical.demos.store.dataset import Dataset
 from magical.demos.store.reader import observations
 from magical.demos.store.trajectory import Trajectory
+from magical.envs import EnvId, register_envs
 from magical.envs.action_spec import DISCRETE, ActionSpaceName, ActionSpec, action_spec
-from magical.envs.ids import EnvId
 from magical.errors import DatasetError, UnknownNameError
 from magical.observe import PRESETS
 
@@ -75,6 +75,8 @@ def export_minari(
 
 def _env_spec(env_id: EnvId, part: Dataset, actions: ActionSpec) -> Any:
     """The environment's specification, with the episodes' length as its horizon if all share it."""
+    if env_id not in gym.registry:  # a generated task's
+        register_envs(env_id.task)
     spec = copy.deepcopy(gym.spec(env_id))
     if actions is not DISCRETE:
         spec.kwargs["action_space"] = actions.name

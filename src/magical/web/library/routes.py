@@ -20,7 +20,7 @@ from magical.envs.keys import controls_of
 from magical.envs.seeds import sample_training_seeds
 from magical.errors import BusyError, MagicalError, MessageError, NotFoundError
 from magical.scene.actions import ACTION_NAMES
-from magical.tasks import TASKS, Task
+from magical.tasks import Task, get_task
 from magical.untrusted import parse_json
 from magical.web.driver import episode_probabilities, roll_out
 from magical.web.library.sources import (
@@ -162,12 +162,12 @@ class Library:
     def _list_library(self, _: NoQuery) -> Response:
         return AsciiJSON(
             {
-                "tasks": [_described(task) for task in TASKS.values()],
-                "sources": [{"key": k, "name": source.name} for k, source in self._sources.items()],
                 "policies": [
                     {"number": i, "name": p.name, "tasks": p.tasks, "algorithm": p.algorithm}
                     for i, p in enumerate(self._policies.refresh())
                 ],
+                "tasks": [_described(get_task(name)) for name in self._policies.tasks],
+                "sources": [{"key": k, "name": source.name} for k, source in self._sources.items()],
                 "actions": [
                     {"name": name, "controls": controls_of(action)}
                     for action, name in enumerate(ACTION_NAMES)

@@ -125,8 +125,9 @@ function choosePolicy(pane) {
     (policy) => policy.algorithm && [pane.details.policy, pane.details.demonstrator]
       .includes(policy.name),
   );
-  if (own && !element("judge").value) element("judge").value = own.number;
-  judge(pane);
+  if (!own || element("judge").value) return judge(pane);
+  element("judge").value = own.number;
+  panes.forEach(judge);
 }
 
 function judge(pane) {

@@ -7,14 +7,12 @@ statement about a nearby edge is one row of `Edges`: by how much the poses satis
 changes with the bodies' poses.
 """
 
-from collections.abc import Callable
 from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.compiled.jit import entry_point
 from magical.demos.human.recovery.edge_search import (
     ANCHOR,
     MAX_LAYERS,
@@ -82,9 +80,10 @@ class EdgeFinder:
         """
         if frame.shape != (SIZE, SIZE, 3):
             raise RenderError(f"expected a frame {SIZE} across, found {frame.shape}")
-        labels = np.empty((SIZE, SIZE), np.uint8)
-        _compiled_label()(frame, self._palette, labels)
-        return labels
+        packed = frame[::-1].astype(np.int32) @ np.array([1, 1 << 8, 1 << 16], np.int32)
+        numbers = np.searchsorted(self._palette, packed)
+        known = self._palette.take(numbers, mode="clip") == packed
+        return np.where(known, numbers, MIXED).astype(np.uint8)
 
     def find(
         self, bodies: NDArray[np.float64], labels: Labels, band: float, wanted: NDArray[np.bool_]
@@ -162,28 +161,6 @@ class EdgeFinder:
         outward = np.array([(-1.0, 0.0), (1.0, 0.0), (0.0, -1.0), (0.0, 1.0)])[nearest]
         nx, ny = outward.T / np.sqrt(square)
         return cos * nx - sin * ny, sin * nx + cos * ny
-
-
-@cache
-def _compiled_label() -> Callable[..., None]:
-    """The entry point that labels a frame's pixels by colour."""
-
-    @entry_point
-    def label(frame: NDArray[np.uint8], palette: NDArray[np.int32], labels: Labels) -> None:
-        size = len(labels)
-        colour, found = np.int64(-1), MIXED
-        for y in range(size):
-            row = frame[size - 1 - y]
-            for x in range(size):
-                new = np.int64(row[x, 0]) | np.int64(row[x, 1]) << 8 | np.int64(row[x, 2]) << 16
-                if new != colour:
-                    colour, found = new, MIXED
-                    for i in range(len(palette)):
-                        if palette[i] == new:
-                            found = i
-                labels[y, x] = found
-
-    return label
 
 
 def _layers(shown: DisplayList) -> tuple[NDArray[np.int32], Layers]:
