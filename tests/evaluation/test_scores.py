@@ -89,6 +89,10 @@ def test_entries_are_read_back_and_keep_what_their_authors_added(tmp_path: Path)
     again = read_entry(tmp_path)
     assert again.details == {"labels": 10, "note": "again"}
     assert again.scores == SCORES[:1]
+    trained = {"algorithm": "bc", "num_demos": 2, "pretrained_on": [], "note": "mine"}
+    for stated in (trained, {"algorithm": "ppo"}):  # the run folder holds another run now
+        Entry(method="run", scores=SCORES, details=stated).write(tmp_path)
+    assert read_entry(tmp_path).details == {"algorithm": "ppo", "note": "mine"}
     for details in ({"policy": "noop", "learned_from": []}, {"policy": "a.py:p"}):
         Entry(method="another", scores=SCORES, nudge=0, details=details).write(tmp_path)
     assert read_entry(tmp_path).details == {"policy": "a.py:p"}
@@ -102,7 +106,7 @@ def test_entries_are_read_back_and_keep_what_their_authors_added(tmp_path: Path)
 def test_what_could_not_be_read_back_is_not_written(tmp_path: Path, fields: dict[str, Any]) -> None:
     Entry(method="mine", scores=SCORES).write(tmp_path)
     with pytest.raises((ValueError, TypeError)):
-        Entry(**{"method": "mine", "scores": SCORES[:1], **fields}).check_writable(tmp_path)
+        Entry(**{"method": "mine", "scores": SCORES[:1], **fields}).merged(tmp_path)
     with pytest.raises((ValueError, TypeError)):
         Entry(**{"method": "mine", "scores": SCORES[:1], **fields}).write(tmp_path)
     assert read_entry(tmp_path).scores == SCORES

@@ -12,7 +12,7 @@ CORNER = "magical/MoveToCorner-Demo-v0"
 
 
 def test_json_has_a_mean_a_deviation_and_all_scores(capsys: pytest.CaptureFixture[str]) -> None:
-    command = ["expert", "evaluate", "--env", CORNER, "MoveToRegion-Demo-v0"]
+    command = ["expert", "evaluate", "--env", CORNER, "MoveToRegion-Demo-LoRes4E-v0"]
     assert cli.main([*command, "--rollouts", "2", "--workers", "1", "--json"]) == 0
     result = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert list(result) == [CORNER, "magical/MoveToRegion-Demo-v0"]

@@ -7,12 +7,18 @@ import sys
 from importlib.util import find_spec
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from magical.cli import main
+from magical.demos import DatasetWriter, Trajectory
+from magical.envs import EnvId
 from magical.evaluation import read_entry
 from magical.learning import algorithm_names
+from magical.report.found.search import find_results
 from magical.runs.folder import CHECKPOINT, PREVIOUS
+from magical.scene import Poses
+from magical.tasks import load_task, unregister_task
 
 TINY = ["--preset", "quick", "--batches", "4", "--batch-size", "4", "--num-demos", "2"]
 
@@ -37,6 +43,31 @@ def test_train_stop_resume(demos: Path, tmp_path: Path, capsys: pytest.CaptureFi
     assert main(bc(demos, out, "--resume")) == 0
 
 
+def test_the_next_command_imports_a_task_that_the_package_lacks(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "task_to_train.py").write_text(
+        "from dataclasses import replace\n"
+        "from magical.tasks import get_task\n"
+        "TASK = replace(get_task('MoveToCorner'), name='MoveThere', section='')\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    task = load_task("task_to_train:TASK")
+    try:
+        env_id, actions = EnvId("MoveThere", "Demo"), np.ones(5, np.int64)
+        poses = np.stack([Poses.at_rest(task.demo).bodies] * 6)
+        shown = Trajectory.from_poses(env_id, task.demo, actions, poses, demonstrator="random")
+        writer = DatasetWriter(tmp_path / "demos")
+        writer.append(shown)
+        writer.append(shown)
+        given = ["--task", "MoveThere", "--demos", str(writer.path), "--out", str(tmp_path / "run")]
+        assert main(["train", "bc", *given, *TINY]) == 0
+        next_command = f"magical evaluate {tmp_path / 'run'} --import task_to_train"
+        assert next_command in capsys.readouterr().err
+    finally:
+        unregister_task("MoveThere")
+
+
 def test_an_evaluated_run_says_what_it_is_and_can_be_verified(
     demos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -54,6 +85,12 @@ def test_an_evaluated_run_says_what_it_is_and_can_be_verified(
     assert details["threads"] == num_threads()
     assert main(["verify", str(entry), "--workers", "0"]) == 0
     assert "confirmed: 3 of 3" in capsys.readouterr().out
+    (tmp_path / "far" / "away").mkdir(parents=True)
+    (tmp_path / "link").symlink_to(tmp_path / "far" / "away")
+    linked = tmp_path / "link" / "run"
+    assert main(["evaluate", str(run), *options, "--out", str(linked)]) == 0
+    assert main(["verify", str(linked), "--workers", "0"]) == 0
+    assert find_results([linked, run]).not_evaluated == []
 
 
 def test_a_damaged_checkpoint_is_named_and_the_previous_one_resumed(

@@ -103,6 +103,8 @@ def measure(
     """
     import gymnasium
 
+    from magical.physics import Simulation
+
     def make(**options: Any) -> Any:
         if kind == "env":
             env: Any = gymnasium.make(env_id, **options).unwrapped
@@ -120,14 +122,17 @@ def measure(
         return _Turns(step if kind == "env" else env.step, num_envs, seed)
 
     with ExitStack() as stack:
-        env, physics = make(), BarePhysics(env_id, seed)
+        env, task, rng = make(), env_id.task_spec, np.random.default_rng(seed)
         pixels, states = turns(env), turns(make(observation="state"))
-        bare = _Turns(physics.step, 1, seed)
+        simulation = Simulation(*task.sample(env_id.variant, rng))
+        bare = _Turns(lambda actions: simulation.step(int(actions[0])), 1, seed)
         end = time.perf_counter() + seconds
         steps = PROBE
         while time.perf_counter() < end or steps == PROBE:
-            for one in (pixels, states, bare):
+            for one in (pixels, states):
                 one.take(steps)
+            simulation = Simulation(*task.sample(env_id.variant, rng))  # not timed
+            bare.take(task.horizon)
             steps = max(1 + PROBE, round(TURN * pixels.rate))
     rate = pixels.rate * num_envs
     return {
@@ -136,40 +141,9 @@ def measure(
         "workers": getattr(env, "workers", 0),
         "steps_per_second": rate,
         "state_steps_per_second": states.rate * num_envs,
-        "physics_steps_per_second": physics.rate,
+        "physics_steps_per_second": bare.rate,
         "frames_per_second": rate * make_spec(env_id.preset, env_id.task_spec).num_images,
     }
-
-
-class BarePhysics:
-    """The simulation of one environment's episodes, timed only inside its steps."""
-
-    def __init__(self, env_id: EnvId, seed: int) -> None:
-        self._env_id = env_id
-        self._rng = np.random.default_rng(seed)
-        self._seconds, self._steps, self._left = 0.0, 0, 0
-        self.step([0])  # compiles
-        self._seconds, self._steps = 0.0, 0
-
-    def step(self, actions: Any) -> None:
-        """One control step."""
-        from magical.physics import Simulation
-
-        if self._left == 0:
-            task = self._env_id.task_spec
-            self._simulation = Simulation(*task.sample(self._env_id.variant, self._rng))
-            self._left = task.horizon
-        action = int(actions[0])
-        began = time.perf_counter()
-        self._simulation.step(action)
-        self._seconds += time.perf_counter() - began
-        self._steps += 1
-        self._left -= 1
-
-    @property
-    def rate(self) -> float:
-        """Control steps per second inside the simulation."""
-        return self._steps / self._seconds
 
 
 class _Turns:

@@ -115,8 +115,8 @@ def run(args: argparse.Namespace) -> int:
     )
     method = args.method or Path(args.policy).absolute().name  # also for "."
     if args.out:
-        entry = Entry.of(policy, evaluation, method=method, details=_details(args))
-        entry.check_writable(args.out)
+        details = _details(args)
+        entry = Entry.of(policy, evaluation, method=method, details=details).merged(args.out)
     if args.leaderboard and (why := _why_unranked(entry, evaluation)):
         log(f"error: --leaderboard: the entry would not be ranked: {'; '.join(why)}")
         return USAGE

@@ -43,14 +43,14 @@ def run(args: argparse.Namespace) -> int:
     """Evaluate, print."""
     from statistics import fmean, pstdev
 
-    from magical.envs import all_env_ids
+    from magical.envs import all_env_ids, parse_env_id
     from magical.evaluation import evaluate
     from magical.evaluation.expert import ExpertPolicy
     from magical.evaluation.statistics import by_environment
     from magical.progress import progress_bar
 
     policy = ExpertPolicy(args.skill, TAKEOVER if args.takeover else 0.0)
-    env_ids = args.env or all_env_ids()
+    env_ids = [parse_env_id(env_id).without_preset for env_id in args.env or all_env_ids()]
     with progress_bar("rollouts", len(env_ids) * args.rollouts) as advance:
         rows = evaluate(
             policy,

@@ -87,13 +87,20 @@ def run(args: argparse.Namespace) -> int:
 
 def _imports(config: "Config") -> str:
     """`--import` for each module that the configuration names, which new processes need."""
+    from magical.envs.vector.workers import defining_modules
     from magical.learning.config import options
     from magical.learning.networks import TIMM
+    from magical.tasks import get_task
 
     plain = config.to_dict()
     named = [plain["algorithm"], *(plain[o.name] for o in options(type(config)) if o.open)]
     texts = (n for n in named if isinstance(n, str) and not n.startswith(TIMM))
-    modules = dict.fromkeys(name.rpartition(":")[0] for name in texts)
+    modules = dict.fromkeys(
+        (
+            *defining_modules([get_task(name) for name in config.tasks]),
+            *(name.rpartition(":")[0] for name in texts),
+        )
+    )
     return "".join(f" --import {shlex.quote(module)}" for module in modules if module)
 
 

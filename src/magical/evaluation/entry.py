@@ -3,7 +3,7 @@
 import json
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, Self
 
@@ -25,6 +25,8 @@ from magical.untrusted import convert, parse_json, read_json
 
 POLICY = "policy"  # in the details: a run folder relative to the entry's, or a policy's name
 THREADS = "threads"  # in the details: CPU threads that the acting network used
+ACTION_SPACE = "action_space"  # in the details, unless it is the discrete one
+TRAINING = ("demonstrations", "num_demos", "pretrained_on")  # in the details of some runs
 SCORES_FILE, ENTRY_FILE = "scores.csv", "entry.json"
 
 Text = Annotated[str, Meta(max_length=200)]
@@ -97,7 +99,7 @@ class Entry(_EntryFile):
         observation, privileged = observed(policy, evaluation.observation, task)
         actions = action_spec_of(policy)
         if actions is not DISCRETE:
-            details = {**details, "action_space": actions.name}
+            details = {**details, ACTION_SPACE: actions.name}
         return cls(
             method=method,
             scores=scores,
@@ -137,21 +139,24 @@ class Entry(_EntryFile):
         """Write both files.
 
         If the folder already holds an entry of the same method and policy, its details that this
-        one lacks are kept. Raises what `check_writable` raises, before anything is written.
+        one lacks are kept. Raises what `merged` raises, before anything is written.
         """
-        text = self._json(Path(folder) / ENTRY_FILE)
+        text = self.merged(folder)._json(Path(folder) / ENTRY_FILE)
         write_scores(self.scores, Path(folder) / SCORES_FILE)
         with write_atomically(Path(folder) / ENTRY_FILE) as file:
             file.write(text.encode())
 
-    def check_writable(self, folder: Path | str) -> None:
-        """Check that `write` would accept this entry, before its scores are computed.
+    def merged(self, folder: Path | str) -> "Entry":
+        """The entry that `write` would write, which may be called before scores are computed.
 
         Raises:
             ScoresError: a field that `read_entry` would refuse, or a damaged entry in the folder.
             TypeError: details that cannot be written as JSON.
         """
-        self._json(Path(folder) / ENTRY_FILE)
+        target = Path(folder) / ENTRY_FILE
+        merged = replace(self, details=self._kept(target) | self.details)
+        merged._json(target)
+        return merged
 
     @property
     def stated(self) -> dict[str, Any]:
@@ -159,18 +164,21 @@ class Entry(_EntryFile):
         return {field.name: getattr(self, field.name) for field in fields(_EntryFile)}
 
     def _json(self, target: Path) -> str:
-        data = {**self.stated, "details": self._kept(target) | self.details}
-        text = json.dumps(data, indent=2) + "\n"
+        text = json.dumps(self.stated, indent=2) + "\n"
         parse_json(text, _EntryFile, str(target), ScoresError)
         return text
 
     def _kept(self, target: Path) -> dict[str, Any]:
-        """The details of an earlier entry of the same method and policy."""
+        """What was added to an earlier entry of the same method and policy."""
         if not target.exists():
             return {}
         old = read_json(target, _EntryFile, ScoresError)
         policies = {str(d[POLICY]) for d in (old.details, self.details) if POLICY in d}
-        return old.details if old.method == self.method and len(policies) < 2 else {}
+        if old.method != self.method or len(policies) > 1:
+            return {}
+        is_run = "algorithm" in self.details  # whose training was recorded anew
+        outdated = {ACTION_SPACE, *(TRAINING if is_run else ())}
+        return {name: value for name, value in old.details.items() if name not in outdated}
 
 
 def read_entry(folder: Path | str) -> Entry:

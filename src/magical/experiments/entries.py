@@ -35,7 +35,8 @@ def evaluation_details(policy: str, out: Path) -> dict[str, Any]:
     record = read_json(Path(policy) / RECORD)
     if PRETRAINED_ON in record:
         details[PRETRAINED_ON] = record[PRETRAINED_ON]
-    return {POLICY: os.path.relpath(policy, out), **details, **provenance()}
+    relative = os.path.relpath(Path(policy).resolve(), out.resolve())  # `..` of a link is elsewhere
+    return {POLICY: relative, **details, **provenance()}
 
 
 def policy_of(folder: Path, entry: Entry, run: Path | None = None) -> Policy:

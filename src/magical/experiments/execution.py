@@ -20,7 +20,7 @@ from magical.experiments.demonstrations import (
     require_same_demonstrations,
 )
 from magical.experiments.display import Display
-from magical.experiments.one_run import evaluate_reference, finish, record_failure
+from magical.experiments.one_run import evaluate_reference, finish, record_failure, reference_folder
 from magical.experiments.plan import PlannedRun
 from magical.experiments.results import (
     DONE,
@@ -177,7 +177,7 @@ def execute(
         again = (None, FAILED) if retry_failed else (None,)
         waiting = [run for run in runs if states[run] in again]
         open_dataset(waiting, results)  # if it refuses the plan, the previous one stays listed
-        results.write_plan(runs)
+        results.write_plan(runs, list(map(reference_folder, references)))
 
         def go_on(_: int) -> None:
             if stop.seen:

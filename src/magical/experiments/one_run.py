@@ -22,11 +22,10 @@ from magical.learning.config import DemonstrationSettings
 from magical.messages import printable
 from magical.runs.folder import write_json
 from magical.runs.machine import provenance, source_commit
-from magical.runs.plan import RESULT
+from magical.runs.plan import REFERENCES, RESULT
 
 MAX_ERROR = 2_000  # characters of a recorded message
 MAX_TRACEBACK = 20_000  # and of a traceback, whose end is kept
-REFERENCES = "references"  # in a results folder: a folder for each reference policy and task
 
 
 def finish(run: PlannedRun, folder: Path, demos: Path | None) -> Outcome:
@@ -116,11 +115,17 @@ def evaluate_run(run: PlannedRun, folder: Path, out: Path, evaluation: Evaluatio
     Entry.of(policy, evaluation, method=run.method, scores=scores, details=details).write(out)
 
 
+def reference_folder(reference: tuple[str, Evaluation]) -> str:
+    """The name of the folder of a built-in policy's entry on a task."""
+    name, evaluation = reference
+    return f"{name}-{evaluation.env_ids[0].task}"
+
+
 def evaluate_reference(reference: tuple[str, Evaluation], results: Path) -> None:
     """Evaluate a built-in policy on a task, unless the results folder has its entry already."""
     name, evaluation = reference
     policy = BUILT_IN[name]()
-    folder = results / REFERENCES / f"{name}-{evaluation.env_ids[0].task}"
+    folder = results / REFERENCES / reference_folder(reference)
     details = evaluation_details(name, folder)
     entry = Entry.of(policy, evaluation, method=name, details=details)
     if not _is_entry_of(folder, entry, evaluation):

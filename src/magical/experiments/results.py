@@ -112,9 +112,10 @@ class Results:
         if not found.keys() <= known.keys():
             write_json(self.path / EXPERIMENT, {**experiment, part: {**known, **found}})
 
-    def write_plan(self, runs: Sequence[PlannedRun]) -> None:
-        """Write the list of the plan's runs, which reports and `magical status` then show."""
-        write_json(self.path / PLAN, {"runs": [asdict(run.listed()) for run in runs]})
+    def write_plan(self, runs: Sequence[PlannedRun], references: Sequence[str] = ()) -> None:
+        """Write the plan's runs and reference policies, which reports then show."""
+        listed = [asdict(run.listed()) for run in runs]
+        write_json(self.path / PLAN, {"runs": listed, "references": list(references)})
 
     def write_progress(self, running: Iterable[PlannedRun], slots: int) -> None:
         """Record which runs are in progress, and how many can be at a time."""

@@ -11,6 +11,7 @@ from magical.untrusted import read_json
 
 PLAN = "plan.json"  # in a results folder: the planned runs
 RUNS = "runs"  # in a results folder: the folder that holds the run folders
+REFERENCES = "references"  # in a results folder: a folder for each reference policy and task
 RESULT = "result.json"  # in a run's folder: its final record
 MAX_BYTES = 1 << 26  # of `plan.json`
 MAX_NAME = 40  # characters of a method's name in a file's name
@@ -48,6 +49,7 @@ def file_name(method: str) -> str:
 @dataclass(frozen=True, slots=True)
 class _PlanRecord:
     runs: tuple[ListedRun, ...]
+    references: tuple[str, ...] | None = None  # folders in `REFERENCES`; None: not recorded
     collected: dict[str, Any] = field(default_factory=dict)  # used by the studies
 
 
@@ -57,6 +59,19 @@ def listed_runs(path: Path) -> tuple[ListedRun, ...]:
     Raises:
         ResultsError: the file is damaged, or lists something else.
     """
+    return _read(path).runs
+
+
+def listed_references(path: Path) -> tuple[str, ...] | None:
+    """The folders of reference policies in the `plan.json` of a results folder; `None` if unknown.
+
+    Raises:
+        ResultsError: the file is damaged, or lists something else.
+    """
+    return _read(path).references
+
+
+def _read(path: Path) -> _PlanRecord:
     if not (path / PLAN).exists():
-        return ()
-    return read_json(path / PLAN, _PlanRecord, ResultsError, max_bytes=MAX_BYTES).runs
+        return _PlanRecord(())
+    return read_json(path / PLAN, _PlanRecord, ResultsError, max_bytes=MAX_BYTES)

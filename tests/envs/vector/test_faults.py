@@ -187,6 +187,24 @@ def test_no_more_workers_than_sub_environments() -> None:
     assert [list(rows) for rows in split(7, 3)] == [[0, 1], [2, 3], [4, 5, 6]]
 
 
+MAIN = """
+from task_of_a_script import TASK
+from magical.evaluation import environments, evaluate
+if __name__ == "__main__":
+    evaluate("noop", environments([TASK.name], ["Demo"]), rollouts=2, workers=2)
+"""
+
+
+def test_a_script_may_import_a_task_by_its_name(tmp_path: Path) -> None:
+    (tmp_path / "task_of_a_script.py").write_text(
+        "from dataclasses import replace\n"
+        "from magical.tasks import get_task, register_task\n"
+        "TASK = register_task(replace(get_task('MoveToRegion'), name='Mine', section=''))\n"
+    )
+    (tmp_path / "script.py").write_text(MAIN)
+    subprocess.run([sys.executable, "script.py"], cwd=tmp_path, check=True, timeout=120)
+
+
 # However a script ends; it has no `__main__` guard and does not close.
 SCRIPT = """
 import os, signal, sys

@@ -245,6 +245,18 @@ def test_entries_inside_a_run_that_is_no_longer_the_plans_are_skipped(
     assert not search_results([tmp_path]).skipped
 
 
+def test_reference_policies_of_an_earlier_plan_are_skipped(
+    write_entry: WriteEntry, tmp_path: Path
+) -> None:
+    for name in ("noop-MakeLine", "random-MakeLine"):
+        write_entry(f"references/{name}", name, LINE)
+    write_plan(tmp_path)
+    assert not search_results([tmp_path]).skipped  # plans of earlier versions do not name them
+    write_json(tmp_path / "plan.json", {"runs": [], "references": ["noop-MakeLine"]})
+    (skipped,) = search_results([tmp_path]).skipped
+    assert skipped.folder.name == "random-MakeLine"
+
+
 def test_a_plan_is_read_once_whatever_the_number_of_its_runs(
     write_entry: WriteEntry, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -1,12 +1,14 @@
 """Methods in order."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from magical.report.found.search import Result
+from magical.report.leaderboard import ranking
 from magical.report.leaderboard.ranking import (
     ALL_TASKS,
     HELD_OUT_TASKS,
@@ -49,6 +51,13 @@ def test_methods_are_ranked_by_test_all_and_by_gap() -> None:
     assert high.test_all == pytest.approx((0.6, 0.6, 0.6))
     assert high.unit == "2 runs"
     assert board.standings[1].unit == "rollouts of 1 run"
+
+
+def test_another_registered_task_is_not_one_of_the_paper(monkeypatch: pytest.MonkeyPatch) -> None:
+    results = [run("a", 0.5, 0.4, [task]) for task in TASKS]
+    with_more = {**TASKS, "Mine": replace(TASKS["MakeLine"], name="Mine")}
+    monkeypatch.setattr(ranking, "TASKS", with_more)
+    assert [row.method for row in make_boards(results)[0].standings] == ["a"]
 
 
 def test_what_learned_nothing_from_true_states_is_a_reference_without_a_rank() -> None:

@@ -185,7 +185,7 @@ def defining_modules(tasks: Sequence[Task]) -> list[str]:
 
 def _defining_module(task: Task) -> str:
     for name, module in list(sys.modules.items()):
-        if name != "__main__" and _holds(module, task):
+        if name not in ("__main__", "__mp_main__") and _holds(module, task):
             return name
     raise InvalidTaskError(
         f"task {task.name}: workers import tasks by themselves, and no importable module holds "

@@ -16,7 +16,15 @@ from magical.evaluation.collection import is_collection, read_collection
 from magical.evaluation.entry import ENTRY_FILE, POLICY, SCORES_FILE
 from magical.runs import is_run, read_json
 from magical.runs.folder import CONFIG, RECORD
-from magical.runs.plan import PLAN, RESULT, RUNS, ListedRun, listed_runs
+from magical.runs.plan import (
+    PLAN,
+    REFERENCES,
+    RESULT,
+    RUNS,
+    ListedRun,
+    listed_references,
+    listed_runs,
+)
 
 TELLING = 20  # rollouts whose score is not the most frequent one: enough to identify a run
 
@@ -185,7 +193,7 @@ def search_results(folders: Iterable[Path | str], without: Path | None = None) -
     runs = [
         place
         for place in places
-        if is_run(place) and place not in evaluated and _absolute(place) not in named
+        if is_run(place) and place not in evaluated and os.path.realpath(place) not in named
     ]
     return Found(results, skipped, runs, _planned(places, evaluated, listed))
 
@@ -211,13 +219,9 @@ def _read_entry(place: Path) -> Entry | Exception:
 
 
 def _policy_folder(result: Result) -> str:
-    """The run folder that an entry states as its policy, which may be anywhere."""
-    return _absolute(result.folder / str(result.entry.details.get(POLICY, "")))
-
-
-def _absolute(path: Path) -> str:
-    """A normalised absolute path for comparisons; it need not exist, and may be any text."""
-    return os.path.normpath(path.absolute())
+    """The run folder that an entry states as its policy; it may be any text."""
+    stated = str(result.entry.details.get(POLICY, ""))
+    return "" if "\0" in stated else os.path.realpath(result.folder / stated)
 
 
 def _places(root: Path, without: Path | None) -> Iterator[Path]:
@@ -243,7 +247,7 @@ def _run_of(place: Path, root: Path) -> Path | None:
 
 
 def _is_planned(place: Path, root: Path, listed: Listed) -> bool:
-    """Whether a folder is not in a run folder of a plan, or the plan still lists that run."""
+    """Whether a folder is not of a plan's run or reference policy, or the plan still lists it."""
     for folder in (place, *place.parents):
         if folder == root:
             break
@@ -251,6 +255,9 @@ def _is_planned(place: Path, root: Path, listed: Listed) -> bool:
         if folder.parent.name == RUNS and (results / PLAN).is_file():
             planned = listed(results)
             return not planned or folder.name in planned
+        if folder.parent.name == REFERENCES:
+            references = _references(results)
+            return references is None or folder.name in references
     return True
 
 
@@ -274,6 +281,13 @@ def _listed(results: Path) -> Mapping[str, ListedRun]:
     with suppress(ResultsError):
         return {run.folder: run for run in listed_runs(results)}
     return {}
+
+
+def _references(results: Path) -> tuple[str, ...] | None:
+    """The reference policies that a plan lists, by folder; `None` if that is not known."""
+    with suppress(ResultsError):
+        return listed_references(results)
+    return None
 
 
 def _state(folder: Path) -> str:

@@ -4,6 +4,7 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from operator import attrgetter
 
+from magical.evaluation import published_tasks
 from magical.evaluation.intervals import Interval
 from magical.evaluation.statistics import ROUNDING
 from magical.grouping import group_by
@@ -88,7 +89,7 @@ def make_boards(results: Sequence[Result]) -> list[Board]:
 
     held_out = [task_name(number) for number in HELD_OUT]
     tracks = [HELD_OUT_TASKS, *map(pretrained_board, FINE_TUNED)]
-    first, *rest = boards(ALL_TASKS, list(TASKS))
+    first, *rest = boards(ALL_TASKS, published_tasks())
     for name in tracks:
         rest += boards(name, held_out, track=name)
     for task in TASKS:

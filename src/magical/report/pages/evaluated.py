@@ -1,21 +1,17 @@
 """A page about evaluated runs: tables, learning curves, rollouts."""
 
-import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-
-import numpy as np
 
 from magical import __version__
 from magical.evaluation import Entry
 from magical.evaluation.statistics import interquartile_mean
-from magical.processes import available_cores
 from magical.report.figures.curves import curves_by_task
 from magical.report.figures.plots import interval_plot, profile_plot
 from magical.report.figures.reels import LoadPolicy, Reel, record_reels
 from magical.report.found.facts import describe_methods
 from magical.report.found.missing import find_missing
-from magical.report.found.search import Found, Result
+from magical.report.found.search import Found
 from magical.report.pages.page import Figure, render_template, write_text
 from magical.report.scores.methods import ComparedMethod, compared_methods
 from magical.report.scores.summaries import (
@@ -91,7 +87,7 @@ def _html(
         clip_notes=notes,
         missing=_missing(found),
         skipped=_skipped(skipped),
-        facts=_facts(found.results),
+        version=__version__,
         methods=describe_methods(found.results, path),
     )
 
@@ -147,27 +143,3 @@ def _missing(found: Found) -> TextTable | None:
 def _skipped(rows: Sequence[tuple[str, str]]) -> TextTable | None:
     note = "Folders whose files cannot be used; they contribute nothing to the tables."
     return TextTable("Skipped", ("folder", "reason"), rows, note) if rows else None
-
-
-def _facts(results: Sequence[Result]) -> dict[str, str]:
-    """What scores may depend on other than settings, over all runs, and how the page was made."""
-    places = [(result.record, result.entry.details) for result in results]
-    found: dict[str, list[object]] = {
-        "evaluated by magical": [result.entry.version for result in results],
-        "commit": [place.get("commit") for pair in places for place in pair],
-        "libraries": [_listed(place.get("versions")) for pair in places for place in pair],
-        "machine": [_listed(place.get("machine")) for pair in places for place in pair],
-    }
-    facts = {name: "; ".join(dict.fromkeys(str(v) for v in vs if v)) for name, vs in found.items()}
-    return {
-        **{name: text or "not recorded" for name, text in facts.items()},
-        "this page": f"made by magical {__version__}, Python {platform.python_version()}, NumPy "
-        f"{np.__version__}, on {platform.machine()}, {available_cores()} cores",
-    }
-
-
-def _listed(values: object) -> str:
-    """The contents of a mapping on one line; empty for anything else."""
-    if not isinstance(values, Mapping):
-        return ""
-    return ", ".join(f"{name} {value}" for name, value in values.items())
