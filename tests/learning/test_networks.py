@@ -1,11 +1,20 @@
 """Architectures (layer sizes of Fig. 11, batch norm), trunks and task-specific last layers."""
 
+from types import SimpleNamespace
+
 import pytest
 import torch
 from torch import nn
 
-from magical.errors import UnknownNameError
-from magical.learning.models import ActorCritic, Discriminator, PolicyNetwork, TaskLinear, Trunk
+from magical.errors import PluginError, UnknownNameError
+from magical.learning.models import (
+    ActorCritic,
+    Discriminator,
+    PolicyNetwork,
+    TaskLinear,
+    Trunk,
+    centre,
+)
 from magical.learning.networks import find_network, network_names
 
 IMAGE = (12, 96, 96)
@@ -18,6 +27,31 @@ def images(batch: int = 3) -> torch.Tensor:
 def _convolutions(trunk: Trunk) -> list[nn.Module]:
     assert trunk.convolutions is not None
     return list(trunk.convolutions.children())
+
+
+PRETRAINED = SimpleNamespace(
+    HIDDEN=(8,),
+    PRETRAINED=True,
+    make_convolutions=lambda channels, batch_norm: nn.Conv2d(channels, 2, 8, 8, bias=False),
+)
+WITHOUT_BIAS = SimpleNamespace(HIDDEN=(8,), make_convolutions=PRETRAINED.make_convolutions)
+WITHOUT_LAYERS = SimpleNamespace(HIDDEN=(), make_convolutions=PRETRAINED.make_convolutions)
+
+
+@pytest.mark.parametrize(("name", "kept"), [("PRETRAINED", True), ("WITHOUT_BIAS", False)])
+def test_centring_leaves_pretrained_convolutions_alone(name: str, kept: bool) -> None:
+    network = PolicyNetwork(Trunk(f"{__name__}:{name}", IMAGE), 1)
+    (convolution,) = (m for m in network.modules() if isinstance(m, nn.Conv2d))
+    (linear,) = (m for m in network.trunk.linear if isinstance(m, nn.Linear))
+    before = convolution.weight.clone(), linear.weight.clone()
+    centre(network)
+    assert torch.equal(convolution.weight, before[0]) == kept
+    assert not torch.equal(linear.weight, before[1])
+
+
+def test_architectures_need_a_linear_layer() -> None:
+    with pytest.raises(PluginError, match="expected one or more sizes in HIDDEN"):
+        Trunk(f"{__name__}:WITHOUT_LAYERS", IMAGE)
 
 
 @pytest.mark.parametrize("batch_norm", [False, True])

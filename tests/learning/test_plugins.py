@@ -9,10 +9,10 @@ from typing import Literal
 import pytest
 
 from magical.cli import main
-from magical.errors import PluginError, RunFolderError, UnknownNameError
+from magical.errors import InvalidConfigError, PluginError, RunFolderError, UnknownNameError
 from magical.learning import Config, find_algorithm, read_config, train
 from magical.learning.algorithms.bc import BCConfig
-from magical.learning.config import options
+from magical.learning.config import DemonstrationSettings, options
 from magical.learning.networks import find_network
 from magical.learning.settings import Settings, option
 from magical.runs.folder import CONFIG
@@ -168,6 +168,22 @@ class Chosen(BCConfig):
 def test_a_class_that_has_no_options_says_which_field(kind: type[Config], message: str) -> None:
     with pytest.raises(PluginError, match=message):
         options(kind)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Anonymous(BCConfig):
+    pace: int = option(3, "how fast")  # and no name of an algorithm
+
+
+def test_a_configuration_that_could_not_be_read_again_is_not_trained_with(
+    demos: Path, tmp_path: Path
+) -> None:
+    config = Anonymous(
+        tasks=("MoveToCorner",), demonstrations=DemonstrationSettings(demos=str(demos))
+    )
+    with pytest.raises(InvalidConfigError, match="bc: setting 'pace' is unknown"):
+        train(config, tmp_path / "run")
+    assert not (tmp_path / "run").exists()
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,6 +16,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 from torch.nn.modules.batchnorm import _BatchNorm
 
+from magical.errors import PluginError
 from magical.learning.config import PIXEL_RANGES
 from magical.learning.networks import find_network
 from magical.scene import NUM_ACTIONS
@@ -64,10 +65,15 @@ class Trunk(nn.Module):
 
         Raises:
             UnknownNameError: no such architecture.
+            PluginError: the architecture has no linear layers.
         """
         super().__init__()
         architecture = find_network(network)
         hidden = architecture.HIDDEN
+        if not hidden:
+            raise PluginError(
+                f"network {network!r}: expected one or more sizes in HIDDEN, found none"
+            )
         if num_features is not None:
             hidden = (*hidden[:-1], num_features)
         self.convolutions = None
@@ -76,6 +82,7 @@ class Trunk(nn.Module):
             self.convolutions = architecture.make_convolutions(input_shape[0], batch_norm)
             self.map_shape = _map_shape(self.convolutions, input_shape)
         self.action_input = action_input
+        self.pretrained = getattr(architecture, "PRETRAINED", False)
         self.pixels = PIXEL_RANGES[getattr(architecture, "PIXEL_RANGE", pixel_range)]
         joined = JOINED[action_input]
         self.linear = _linear_layers([math.prod(self.map_shape), *hidden], joined)
@@ -228,15 +235,18 @@ def centre(network: PolicyNetwork) -> None:
     shrinks to a thousandth in the features. He initialisation preserves it, the first convolution's
     biases cancel a uniform frame of mean brightness, and the initial policy is nearly uniform.
     """
-    layers = [m for m in network.modules() if isinstance(m, nn.Conv2d | nn.Linear)]
+    trunk = network.trunk
+    kept = set(trunk.convolutions.modules()) if trunk.convolutions and trunk.pretrained else set()
+    modules = (module for module in network.modules() if module not in kept)
+    layers = [m for m in modules if isinstance(m, nn.Conv2d | nn.Linear)]
     for layer in layers:
         nn.init.kaiming_normal_(layer.weight, nonlinearity="relu")
-        assert layer.bias is not None
-        nn.init.zeros_(layer.bias)
+        if layer.bias is not None:
+            nn.init.zeros_(layer.bias)
     with torch.no_grad():
         first = layers[0]
-        assert first.bias is not None
-        if isinstance(first, nn.Conv2d):  # not a linear layer on a frozen encoder's features
+        # The first may be a linear layer, on the features of a frozen encoder.
+        if isinstance(first, nn.Conv2d) and first.bias is not None:
             low, high = network.trunk.pixels
             brightness = low + (high - low) * MEAN_BRIGHTNESS
             first.bias.copy_(-brightness * first.weight.flatten(1).sum(dim=1))

@@ -28,7 +28,6 @@ from magical.learning.algorithms.wgail_gp import (
     gradient_penalty,
     interpolate,
 )
-from magical.learning.augmentation.augment import Randoms
 from magical.learning.data.expert_data import ExpertData
 from magical.learning.reinforcement.replay_buffer import ROLLOUTS, ReplayBuffer
 from magical.observe import PRESETS
@@ -62,7 +61,7 @@ def given(logits: list[float]) -> Any:
 def test_discriminator_loss_by_hand() -> None:
     batch = batch_of(torch.zeros(4, 3, 1, 1), [0] * 4)
     answers = given([math.log(3.0), -1e-3, math.log(3.0), -20.0])  # expert, expert, novice, novice
-    loss, report = gail_loss(answers, batch, Randoms("cpu", np.random.default_rng(0)))
+    loss, report = gail_loss(answers, batch, np.random.default_rng(0))
     second = math.log(1 + math.exp(1e-3))  # -log sigmoid(-0.001)
     assert loss.item() == pytest.approx((math.log(4 / 3) + second + math.log(4)) / 4, abs=1e-6)
     assert report["discriminator_accuracy"].item() == 0.5
@@ -102,7 +101,7 @@ def test_images_between_have_the_nearer_ones_action() -> None:
     half = 200
     images = torch.cat([torch.ones(half, 3, 1, 1), torch.zeros(half, 3, 1, 1)])
     batch = batch_of(images, [7] * half + [3] * half)
-    between, actions, tasks = interpolate(batch, Randoms("cpu", np.random.default_rng(0)))
+    between, actions, tasks = interpolate(batch, np.random.default_rng(0))
     shares = between[:, 0, 0, 0]  # expert's images are ones
     assert torch.equal(actions == 7, shares > 0.5)
     assert shares.min() < 0.05 < 0.95 < shares.max()
@@ -116,9 +115,7 @@ def test_critic_loss_by_hand() -> None:
     images = torch.stack([torch.full((6, 1, 1), value) for value in (1.0, 2.0, 0.0, 0.5)])
     batch = batch_of(images, [0, 0, 0, 0])
     total = 3.0  # of the weights: logits are 3, 6, 0, 1.5
-    loss, report = critic_loss(
-        network, batch, Randoms("cpu", np.random.default_rng(0)), penalty_weight=10.0
-    )
+    loss, report = critic_loss(network, batch, np.random.default_rng(0), penalty_weight=10.0)
     norm = torch.linspace(-1.0, 2.0, 6).norm().item()
     distance = (1.5 - 0.25) * total
     assert report["wasserstein_distance"].item() == pytest.approx(distance)

@@ -21,7 +21,6 @@ from magical.learning.algorithms.bc import BCConfig
 from magical.learning.algorithms.gail import DiscriminatorBatch, GAILConfig, make_discriminator
 from magical.learning.algorithms.ppo import PPOConfig
 from magical.learning.algorithms.wgail_gp import WGAILGPConfig, critic_loss, gradient_penalty
-from magical.learning.augmentation.augment import Randoms
 from magical.learning.config import CONVENTIONS, NetworkSettings
 from magical.learning.models import EMBEDDING, Trunk
 from magical.learning.reinforcement.reward_normalisation import RewardNormaliser, reward_floor
@@ -191,7 +190,7 @@ def test_batch_norm_in_the_gradient_penalty(mode: bool, forward_passes: int) -> 
     critic = make_discriminator(tiny(WGAILGPConfig, demos="", tasks=ONE))
     images, zeros = torch.rand(4, *IMAGE), torch.zeros(4, dtype=torch.int64)
     batch = DiscriminatorBatch(images, zeros, zeros)
-    critic_loss(critic, batch, Randoms("cpu", np.random.default_rng(0)), 1.0, mode)
+    critic_loss(critic, batch, np.random.default_rng(0), 1.0, mode)
     counts = [m.num_batches_tracked for m in critic.modules() if isinstance(m, nn.BatchNorm2d)]
     assert [int(count) for count in counts if count is not None] == [forward_passes] * 3
     assert critic.training

@@ -110,7 +110,7 @@ def test_palettes_of_recorded_frames_are_permuted_as_if_rendered(pairs: Any) -> 
 def test_walls_cannot_be_removed_from_recorded_frames(tmp_path: Path) -> None:
     demos = write_demos(tmp_path / "demos", [picture_demo("MoveToRegion", 0)])
     config = tiny(BCConfig, demos=str(demos), num_demos=1, transform="walls")
-    with pytest.raises(DemonstrationsError, match="walls needs demonstrations with poses"):
+    with pytest.raises(DemonstrationsError, match="walls needs frames that can be rendered"):
         train(config, tmp_path / "run")
 
 

@@ -100,20 +100,22 @@ def test_noise_is_added_last(pairs: Pairs) -> None:
 
 
 def test_auto_renders_where_all_poses_are_known(pairs: Pairs) -> None:
-    run = Mock()
+    run, spec = Mock(), PRESETS["LoRes4E"]
 
     def chosen(augment_by: str, *more: tuple[str, Trajectory]) -> tuple[type[ExpertData], str]:
-        kind = choose_image_data((*pairs, *more), run, augment_by)
+        kind = choose_image_data((*pairs, *more), run, spec, augment_by)
         return kind, run.describe.call_args.kwargs["augment_by"]
 
     recorded = "MoveToCorner", picture_demo("MoveToCorner", 0)
     assert chosen("auto") == chosen("rendering") == (RenderedExpertData, "rendering")
     assert chosen("resampling") == chosen("auto", recorded) == (ExpertData, "resampling")
-    expected = (
-        r"1 demonstrations have recorded frames only.*MoveToCorner-Demo.*magical demos import"
-    )
-    with pytest.raises(DemonstrationsError, match=f"{expected}.*augment_by: resampling"):
+    expected = r"rendering needs .* 1 demonstrations have recorded frames only.*MoveToCorner-Demo"
+    with pytest.raises(DemonstrationsError, match=f"{expected}.*magical demos import"):
         chosen("rendering", recorded)
+    spec = Mock()  # another distribution's
+    assert chosen("auto") == (ExpertData, "resampling")
+    with pytest.raises(DemonstrationsError, match="the observation is not made of the package's"):
+        chosen("rendering")
 
 
 def test_auto_trains_on_rendered_frames_and_resampling_on_others(

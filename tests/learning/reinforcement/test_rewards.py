@@ -65,12 +65,14 @@ def test_novice_samples_come_from_the_last_batches(batches: int, kept: set[int])
     assert tasks.sum() == 200  # evenly, though only one environment in three has this task
 
 
-def test_the_buffer_is_restored_from_its_state() -> None:
-    replay, other = filled(3), ReplayBuffer(2, np.array([0, 0, 1]))
+@pytest.mark.parametrize("dtype", [torch.uint8, torch.float32])
+def test_the_buffer_is_restored_from_its_state(dtype: torch.dtype) -> None:
+    replay, other = (ReplayBuffer(2, np.array([0, 0, 1])) for _ in range(2))
+    more = torch.arange(6).reshape(2, 3, 1)
+    replay.add(more.to(dtype), more.squeeze(2))
     other.load_state_dict(replay.state_dict(), "cpu")
-    more = torch.full((2, 3, 1), 99, dtype=torch.uint8)
     for each in (replay, other):
-        each.add(more, more.squeeze(2).long())
+        each.add(more.to(dtype), more.squeeze(2))
     first, second = (r.sample([30, 20], np.random.default_rng(1)) for r in (replay, other))
     assert all(torch.equal(a, b) for a, b in zip(first, second, strict=True))
 

@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from magical.demos import Trajectory
+from magical.errors import DemonstrationsError
 from magical.learning.reinforcement.transitions import TransitionBuffer
 from magical.observe import PixelSpec
 from magical.scene import View
@@ -170,3 +171,6 @@ def test_what_was_not_executed_is_left_out() -> None:
     keys = {images.numpy().tobytes() for images in found.observations}
     assert left_out not in keys
     assert len(keys) == len(plain) - 1
+    none = replace(plain, expert_actions=(plain.actions + 1) % 18)
+    with pytest.raises(DemonstrationsError, match="MoveToCorner: expected steps in which"):
+        TransitionBuffer.of_demonstrations([("MoveToCorner", none)], ["MoveToCorner"], spec, "cpu")

@@ -42,6 +42,15 @@ def test_state_dicts_are_read_as_they_were_written(tmp_path: Path) -> None:
     assert [file.name for file in tmp_path.iterdir()] == ["c"]
 
 
+def test_tensors_may_share_memory(tmp_path: Path) -> None:
+    weights = torch.arange(6.0)
+    save_checkpoint(tmp_path / "c", {"one": weights, "same": weights, "part": weights[2:4]})
+    back = load_checkpoint(tmp_path / "c")
+    assert torch.equal(back["one"], weights)
+    assert torch.equal(back["same"], weights)
+    assert torch.equal(back["part"], weights[2:4])
+
+
 def test_missing_and_foreign_files_are_named(tmp_path: Path) -> None:
     path = tmp_path / "c"
     with pytest.raises(CheckpointError, match="expected a readable file, found No such file"):

@@ -239,7 +239,9 @@ class BCTrainer:
         config, cloning, kind = self.config, self.config.cloning, ExpertData
         if not config.observes_vectors:
             names = cloning.transformations
-            kind = choose_image_data(demonstrations, self.run, cloning.augment_by, names)
+            kind = choose_image_data(
+                demonstrations, self.run, config.observation_spec, cloning.augment_by, names
+            )
         return kind(
             demonstrations,
             config.tasks,

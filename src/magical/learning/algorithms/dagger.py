@@ -124,7 +124,9 @@ def train(config: DAggerConfig, run: Run) -> None:
     demonstrations = load_demonstrations(config, run)
     trainer = BCTrainer(config, run)
     cloning = config.cloning  # checked before the folder has episodes
-    choose_image_data(demonstrations, run, cloning.augment_by, cloning.transformations)
+    choose_image_data(
+        demonstrations, run, config.observation_spec, cloning.augment_by, cloning.transformations
+    )
     aggregated = AggregatedDataset(config, run)
     if run.step == config.num_updates:
         return

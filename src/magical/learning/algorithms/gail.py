@@ -25,7 +25,7 @@ from torch.optim import Adam
 
 from magical.learning.algorithms import Algorithm
 from magical.learning.algorithms.ppo import PPOTrainer, ReinforcementConfig, make_policy
-from magical.learning.augmentation.augment import Randoms, to_unit
+from magical.learning.augmentation.augment import augment, to_unit
 from magical.learning.augmentation.names import augment_option
 from magical.learning.config import DemonstrationSettings
 from magical.learning.data.expert_data import ExpertData, load_demonstrations, split_evenly
@@ -126,12 +126,14 @@ class DiscriminatorBatch(NamedTuple):
 
 
 # Discriminator, batch, random numbers -> the loss to be minimised, and other values to log.
-Loss = Callable[[Discriminator, DiscriminatorBatch, Randoms], tuple[Tensor, dict[str, Tensor]]]
+Loss = Callable[
+    [Discriminator, DiscriminatorBatch, np.random.Generator], tuple[Tensor, dict[str, Tensor]]
+]
 RewardFn = Callable[[Tensor], Tensor]  # logits -> rewards of the same shape
 
 
 def gail_loss(
-    discriminator: Discriminator, batch: DiscriminatorBatch, randoms: Randoms
+    discriminator: Discriminator, batch: DiscriminatorBatch, rng: np.random.Generator
 ) -> tuple[Tensor, dict[str, Tensor]]:
     """Mean binary cross-entropy of the logits (expert 1, novice 0): to be minimised."""
     logits = discriminator(batch.images, batch.actions, batch.tasks).float()  # (2B,)
@@ -228,15 +230,14 @@ class DiscriminatorTrainer:
         """Take an update's optimiser steps; returns the means of the logged values."""
         averages = Averages()
         for _ in range(self.config.discriminator.steps):
-            batch = self.sample_batch(rng)
-            averages.add(1, **self._step(batch, Randoms(self._compute.device, rng)))
+            averages.add(1, **self._step(self.sample_batch(rng), rng))
         return {**averages.reset()}
 
-    def _step(self, batch: DiscriminatorBatch, randoms: Randoms) -> dict[str, Tensor]:
+    def _step(self, batch: DiscriminatorBatch, rng: np.random.Generator) -> dict[str, Tensor]:
         """Take one optimiser step on a batch; returns the values to log."""
-        images = randoms.augment(batch.images, self._augmentations)
+        images = augment(batch.images, self._augmentations, rng)
         with self._compute.autocast():
-            loss, logged = self._loss(self.network, batch._replace(images=images), randoms)
+            loss, logged = self._loss(self.network, batch._replace(images=images), rng)
         self.optimizer.zero_grad()
         torch.autograd.backward(loss)
         self.optimizer.step()

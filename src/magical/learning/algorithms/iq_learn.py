@@ -34,12 +34,13 @@ from copy import deepcopy
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from magical.errors import InvalidConfigError
 from magical.learning.algorithms import Algorithm
-from magical.learning.augmentation.augment import Randoms, to_unit
+from magical.learning.augmentation.augment import augment, to_unit
 from magical.learning.augmentation.names import augment_option
 from magical.learning.config import DemonstrationSettings, NetworkSettings
 from magical.learning.data.expert_data import TaskTrajectories, load_demonstrations, split_evenly
@@ -250,15 +251,15 @@ class IQTrainer(InteractionTrainer):
                 counts = split_evenly(iq.batch_size // 2, len(self.config.tasks), rng)
                 demonstrated = self.demonstrations.sample(counts, rng)
                 batch = demonstrated.join(self.replay_buffer.sample(counts, rng))
-                averages.add(1, **self._step(batch, Randoms(self.compute.device, rng)))
+                averages.add(1, **self._step(batch, rng))
         return {**averages.reset()}
 
-    def _step(self, batch: Transitions, randoms: Randoms) -> dict[str, Tensor]:
+    def _step(self, batch: Transitions, rng: np.random.Generator) -> dict[str, Tensor]:
         """Take one optimiser step on a batch; returns the values to log."""
         iq = self.config.iq
         network = self.target if iq.target_every else self.network
-        observations = randoms.augment(batch.observations, self._augmentations)
-        following = randoms.augment(batch.next_observations, self._augmentations)
+        observations = augment(batch.observations, self._augmentations, rng)
+        following = augment(batch.next_observations, self._augmentations, rng)
         with self.compute.autocast():
             q = self.network.q(observations, batch.tasks)
             next_q = network.q(following, batch.tasks)

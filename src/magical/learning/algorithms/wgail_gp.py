@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, ClassVar
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -23,7 +24,6 @@ from magical.learning.algorithms.gail import (
     train_adversarially,
 )
 from magical.learning.algorithms.ppo import make_policy
-from magical.learning.augmentation.augment import Randoms
 from magical.learning.models import Discriminator
 from magical.learning.running.run import Run
 from magical.learning.settings import POSITIVE, option
@@ -74,7 +74,7 @@ def critic_reward(logits: Tensor) -> Tensor:
 def critic_loss(
     critic: Discriminator,
     batch: DiscriminatorBatch,
-    randoms: Randoms,
+    rng: np.random.Generator,
     penalty_weight: float,
     penalty_batch_norm: bool = False,
 ) -> tuple[Tensor, dict[str, Tensor]]:
@@ -91,7 +91,7 @@ def critic_loss(
     expert, novice = logits[: batch.half], logits[batch.half :]
     distance = expert.mean() - novice.mean()
     critic.train(penalty_batch_norm)
-    penalty = gradient_penalty(critic, *interpolate(batch, randoms), critic.trunk.pixels)
+    penalty = gradient_penalty(critic, *interpolate(batch, rng), critic.trunk.pixels)
     critic.train()
     threshold = (expert.mean() + novice.mean()) / 2
     accuracy = torch.cat([expert > threshold, novice < threshold]).float().mean()
@@ -102,14 +102,17 @@ def critic_loss(
     }
 
 
-def interpolate(batch: DiscriminatorBatch, randoms: Randoms) -> tuple[Tensor, Tensor, Tensor]:
+def interpolate(
+    batch: DiscriminatorBatch, rng: np.random.Generator
+) -> tuple[Tensor, Tensor, Tensor]:
     """Sample points uniformly between pairs of an expert and a novice image.
 
     Returns:
         Images (B, C, H, W), actions (B,) of the nearer image, tasks (B,).
     """
     half = batch.half
-    weight = randoms.uniform(half)  # of the expert's image
+    uniforms = rng.random(half, np.float32)
+    weight = torch.from_numpy(uniforms).to(batch.images.device)  # of the expert's image
     images = torch.lerp(batch.images[half:], batch.images[:half], weight[:, None, None, None])
     actions = torch.where(weight > 0.5, batch.actions[:half], batch.actions[half:])
     return images, actions, batch.tasks[:half]

@@ -8,7 +8,6 @@ on their own device; tests compare the compiled code with PyTorch as the referen
 
 import math
 from dataclasses import dataclass
-from typing import Generic, TypeVar
 
 import numpy as np
 import torch
@@ -16,10 +15,12 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn.functional import affine_grid, grid_sample
 
+from magical.errors import InvalidConfigError
 from magical.learning.augmentation.colour import colour_jitter
 from magical.learning.augmentation.names import Augmentations
 from magical.learning.augmentation.noise import add_noise
 from magical.learning.augmentation.resampling import resample
+from magical.render.output import CHANNELS
 
 NOISE_STD = 0.01  # of the range [0, 1]
 MAX_TRANSLATION = 0.05  # of the image's width and height
@@ -31,7 +32,6 @@ PADDING_MODES = {"mirror": "reflection", "repeat": "border"}  # PyTorch's names
 NUM_PARAMETERS = 5  # per stack
 
 Floats = NDArray[np.float64]
-Values = TypeVar("Values", Floats, Tensor)
 
 
 def augment(
@@ -49,6 +49,11 @@ def augment(
         (B, 3 * frames, H, W) float32 in [0, 1], in channels-last memory. Uint8 is scaled from
         [0, 255] whichever augmentations are on.
     """
+    if which.colour and images.shape[1] % CHANNELS:
+        raise InvalidConfigError(
+            f"augment: colour jitter needs RGB frames, found images of {images.shape[1]} channels; "
+            "leave out colour"
+        )
     parameters = sample_parameters(len(images), which, rng, together)
     if images.device.type == "cpu" and images.dtype == torch.uint8:
         return resampled(images, which, parameters, noise_seeds(len(images), rng))
@@ -59,7 +64,7 @@ def augment(
 def resampled(
     images: Tensor,
     which: Augmentations,
-    parameters: "Parameters[Floats]",
+    parameters: "Parameters",
     seeds: NDArray[np.uint64],
 ) -> Tensor:
     """`augment` in compiled code, for uint8 images on a CPU; `seeds` (B,) are for the noise."""
@@ -81,7 +86,7 @@ def resampled(
 def augment_in_pytorch(
     images: Tensor,
     which: Augmentations,
-    parameters: "Parameters[Floats] | Parameters[Tensor]",
+    parameters: "Parameters",
     generator: torch.Generator,
 ) -> Tensor:
     """`augment` in PyTorch, on any device; the generator is for the noise."""
@@ -103,9 +108,7 @@ def to_unit(observations: Tensor) -> Tensor:
     return observations.float().mul_(1.0 / 255.0)
 
 
-def warp(
-    images: Tensor, angles: Floats | Tensor, shifts: Floats | Tensor, borders: str = "mirror"
-) -> Tensor:
+def warp(images: Tensor, angles: Floats, shifts: Floats, borders: str = "mirror") -> Tensor:
     """Rotate each stack about its centre, then translate it.
 
     Args:
@@ -148,64 +151,31 @@ def in_pixels(maps: Floats, height: int, width: int) -> Floats:
 
 
 @dataclass(frozen=True, slots=True)
-class Parameters(Generic[Values]):
-    """Augmentation parameters, one row per stack: arrays, or tensors on the images' device."""
+class Parameters:
+    """Augmentation parameters, one row per stack."""
 
-    lightness: Values  # (B,) factors
-    hues: Values  # (B,) rotations in the (a, b) plane, rad
-    angles: Values  # (B,) rad, counter-clockwise as seen
-    shifts: Values  # (B, 2), right and down, fractions of width and height
-
-    @classmethod
-    def scaled(cls, unit: Values, which: Augmentations) -> "Parameters[Values]":
-        """Parameters from random numbers (B, 5) in [-1, 1].
-
-        All columns are used whatever is switched on, so that ablations share random numbers.
-        """
-        return cls(
-            lightness=1.0 + MAX_LIGHTNESS_CHANGE * unit[:, 0],
-            hues=MAX_COLOUR_ROTATION * unit[:, 1],
-            angles=MAX_ROTATION * which.scale * unit[:, 2] * which.rotation,
-            shifts=MAX_TRANSLATION * which.scale * unit[:, 3:5] * which.translation,
-        )
+    lightness: Floats  # (B,) factors
+    hues: Floats  # (B,) rotations in the (a, b) plane, rad
+    angles: Floats  # (B,) rad, counter-clockwise as seen
+    shifts: Floats  # (B, 2), right and down, fractions of width and height
 
 
 def sample_parameters(
     count: int, which: Augmentations, rng: np.random.Generator, together: int = 1
-) -> Parameters[Floats]:
-    """Sample the parameters of a batch; every `together` consecutive stacks share theirs."""
-    unit = rng.uniform(-1.0, 1.0, (count // together, NUM_PARAMETERS))
-    return Parameters.scaled(unit.repeat(together, axis=0), which)
+) -> Parameters:
+    """Sample the parameters of a batch; every `together` consecutive stacks share theirs.
+
+    All columns are sampled whatever is switched on, so that ablations share random numbers.
+    """
+    unit = rng.uniform(-1.0, 1.0, (count // together, NUM_PARAMETERS)).repeat(together, axis=0)
+    return Parameters(
+        lightness=1.0 + MAX_LIGHTNESS_CHANGE * unit[:, 0],
+        hues=MAX_COLOUR_ROTATION * unit[:, 1],
+        angles=MAX_ROTATION * which.scale * unit[:, 2] * which.rotation,
+        shifts=MAX_TRANSLATION * which.scale * unit[:, 3:5] * which.translation,
+    )
 
 
 def noise_seeds(count: int, rng: np.random.Generator) -> NDArray[np.uint64]:
     """A noise seed for each stack of a batch: (B,)."""
     return rng.integers(2**64, size=count, dtype=np.uint64)
-
-
-class Randoms:
-    """Random numbers for a step, on the device of the networks.
-
-    On a CPU they come from `rng`; elsewhere from a generator on the device, seeded from `rng`, so
-    that a step neither waits for the host nor copies from it.
-    """
-
-    def __init__(self, device: str, rng: np.random.Generator) -> None:
-        self._device, self._rng = device, rng
-        self._generator: torch.Generator | None = None
-        if device != "cpu":
-            self._generator = torch.Generator(device).manual_seed(int(rng.integers(2**63)))
-
-    def uniform(self, *shape: int) -> Tensor:
-        """Numbers from 0 to 1, float32."""
-        if self._generator:
-            return torch.rand(shape, device=self._device, generator=self._generator)
-        return torch.from_numpy(self._rng.random(shape, np.float32))
-
-    def augment(self, images: Tensor, which: Augmentations) -> Tensor:
-        """Augment a batch as the function `augment` does."""
-        if not self._generator:
-            return augment(images, which, self._rng)
-        unit = 2.0 * self.uniform(len(images), NUM_PARAMETERS) - 1.0
-        parameters = Parameters.scaled(unit, which)
-        return augment_in_pytorch(images, which, parameters, self._generator)

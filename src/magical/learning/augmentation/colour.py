@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 Floats = NDArray[np.float64]
-Values = Floats | Tensor
 
 # Linear sRGB to XYZ, and the white point it is divided by.
 SRGB_TO_XYZ = np.array(
@@ -69,14 +68,14 @@ def decode_gamma(encoded: Floats) -> Floats:
 
 
 def colour_jitter(
-    images: Tensor, scales: Values, hues: Values, linear_light: bool = True
+    images: Tensor, scales: Floats, hues: Floats, linear_light: bool = True
 ) -> Tensor:
     """Scale the lightness and rotate the (a, b) plane of each stack of frames.
 
     Args:
         images: (B, 3 * frames, H, W) sRGB, uint8 or float in [0, 1].
-        scales: (B,) factors for L, an array, or a tensor on the images' device.
-        hues: (B,) angles in radians, from a towards b, likewise.
+        scales: (B,) factors for L.
+        hues: (B,) angles in radians, from a towards b.
         linear_light: decode sRGB to linear light before the conversion to XYZ, as the definition
             of XYZ requires, and encode it afterwards.
 

@@ -19,7 +19,6 @@ from magical.errors import DemonstrationsError
 from magical.grouping import group_by
 from magical.learning.augmentation.augment import (
     NOISE_STD,
-    Floats,
     Parameters,
     noise_seeds,
     sample_parameters,
@@ -30,7 +29,7 @@ from magical.learning.augmentation.noise import add_noise
 from magical.learning.augmentation.palette import PERMUTATIONS
 from magical.learning.augmentation.transformations import WALLS, StackTransformations
 from magical.learning.data.expert_data import ExpertData, Rows, TaskTrajectories
-from magical.observe import PixelSpec
+from magical.observe import ObservationSpec, PixelSpec
 from magical.render.moved_camera import MovedCamera
 from magical.render.palette import permuted
 from magical.scene import Scene
@@ -44,6 +43,7 @@ AUTO, RENDERING, RESAMPLING = "auto", "rendering", "resampling"  # how images ar
 def choose_image_data(
     demonstrations: TaskTrajectories,
     run: "Run",
+    spec: ObservationSpec,
     augment_by: str,
     transformations: Collection[str] = (),
 ) -> type[ExpertData]:
@@ -51,23 +51,22 @@ def choose_image_data(
 
     Raises:
         DemonstrationsError: rendering, or a transformation that needs it, was requested, but poses
-            are unknown.
+            are unknown or the observation is not one that the package renders.
     """
     unknown = [trajectory.env_id for _, trajectory in demonstrations if trajectory.poses is None]
-    if augment_by == RENDERING and unknown:
-        raise DemonstrationsError(
-            f"augment_by: rendering needs poses, and {len(unknown)} demonstrations have recorded "
-            f"frames only (the first is of {unknown[0]}). Import the published files with "
-            "`magical demos import`, which recovers their poses, or use augment_by: resampling"
+    reason = ""
+    if not isinstance(spec, PixelSpec):
+        reason = "the observation is not made of the package's frames"
+    elif unknown:
+        reason = (
+            f"{len(unknown)} demonstrations have recorded frames only (the first is of "
+            f"{unknown[0]}); `magical demos import` recovers poses of the published files"
         )
+    if reason and (augment_by == RENDERING or WALLS in transformations):
+        option = "augment_by: rendering" if augment_by == RENDERING else f"transform: {WALLS}"
+        raise DemonstrationsError(f"{option} needs frames that can be rendered, but {reason}")
     if augment_by == AUTO:
-        augment_by = RESAMPLING if unknown else RENDERING
-    if augment_by == RESAMPLING and WALLS in transformations:
-        raise DemonstrationsError(
-            f"transform: {WALLS} needs demonstrations with poses, and some have recorded frames "
-            "only. Import the published files with `magical demos import`, which recovers their "
-            f"poses, or leave out {WALLS}"
-        )
+        augment_by = RESAMPLING if reason else RENDERING
     run.describe(augment_by=augment_by)
     return RenderedExpertData if augment_by == RENDERING else ExpertData
 
@@ -152,7 +151,7 @@ class _SceneData(NamedTuple):
     def render(
         self,
         stacks: Sequence[NDArray[np.intp]],
-        parameters: Parameters[Floats],
+        parameters: Parameters,
         which: Augmentations,
         transformed: StackTransformations,
         out: NDArray[np.float32],
@@ -177,7 +176,7 @@ class _SceneData(NamedTuple):
 
 def _jittered(
     palettes: NDArray[np.uint8],
-    parameters: Parameters[Floats],
+    parameters: Parameters,
     which: Augmentations,
     rows: NDArray[np.intp],
 ) -> NDArray[np.uint8]:

@@ -59,6 +59,7 @@ class ReplayBuffer:
         """The buffer's contents."""
         return {
             "count": self._count,
+            "dtype": str(self._observations.dtype).removeprefix("torch."),
             "shape": list(self._observations.shape),
             "observations": pack(self._observations),
             "actions": self._actions,
@@ -67,7 +68,9 @@ class ReplayBuffer:
     def load_state_dict(self, state: Mapping[str, Any], device: str) -> None:
         """Restore what `state_dict` returned."""
         self._count = state["count"]
-        self._observations = unpack(state["observations"], torch.uint8, state["shape"]).to(device)
+        self._observations = unpack(
+            state["observations"], getattr(torch, state["dtype"]), state["shape"]
+        ).to(device)
         self._actions = state["actions"].to(device)
 
 

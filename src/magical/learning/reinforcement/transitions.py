@@ -16,6 +16,7 @@ from torch import Tensor
 
 from magical.demos import Trajectory
 from magical.demos.store.reader import TrajectorySource
+from magical.errors import DemonstrationsError
 from magical.learning.reinforcement.replay_buffer import pack, unpack
 from magical.learning.running.checkpoints import StateDict
 from magical.observe import ObservationSpec
@@ -72,6 +73,9 @@ class TransitionBuffer:
 
         Steps whose executed action is not the label are left out: their next state results from
         another action.
+
+        Raises:
+            DemonstrationsError: no steps of a task are left.
         """
         sources = [TrajectorySource(trajectory) for _, trajectory in demonstrations]
         frames = []
@@ -87,6 +91,12 @@ class TransitionBuffer:
             labels = trajectory.labels[steps].astype(np.int64)
             buffer._append(windows, labels, steps == length - 1, task)
             buffer._stored += length + 1
+        for name, rows in zip(task_names, buffer._by_task, strict=True):
+            if not len(rows):
+                raise DemonstrationsError(
+                    f"{name}: expected steps in which the demonstrator's own action was executed, "
+                    "found none"
+                )
         return buffer
 
     def emptied(self, capacity: int) -> "TransitionBuffer":

@@ -52,6 +52,12 @@ def save_checkpoint(path: Path, state: StateDict, previous: Path | None = None) 
     """
     tensors: dict[str, Tensor] = {}
     plain = _take_tensors(state, "", tensors)
+    stored: set[int] = set()
+    for name, tensor in tensors.items():
+        memory = tensor.untyped_storage().data_ptr()
+        if memory in stored:  # safetensors refuses shared memory
+            tensors[name] = tensor.clone()
+        stored.add(memory)
     before, after = _split_at_digest(save(tensors, metadata={_HEADER: json.dumps(plain)}))
     with write_atomically(path) as file:
         file.writelines((before, _digest(before, after), after))

@@ -92,9 +92,11 @@ def train(
         DemonstrationsError, DatasetError: too few demonstrations, or damaged ones.
         DivergedError: the loss or the weights are not finite; the newest good checkpoint is kept.
         InvalidConfigError: `previous_checkpoint` without `resume`.
+        InvalidConfigError: settings that the algorithm's own configuration does not have.
         MissingDependencyError: a tracker's library is not installed.
     """
     folder, algorithm, total = Path(out), find_algorithm(config.algorithm), config.num_updates
+    algorithm.config.from_dict(config.to_dict(), config.algorithm)  # as the folder will be read
     with (
         _opened(folder, config, resume, previous_checkpoint),
         Interrupts() as stop,

@@ -70,7 +70,7 @@ class SequenceConfig(Config):
 
 def _load_data(config: SequenceConfig, run: Run, device: str) -> ExpertData:
     demonstrations = load_demonstrations(config, run)
-    kind = choose_image_data(demonstrations, run, AUTO)
+    kind = choose_image_data(demonstrations, run, config.observation_spec, AUTO)
     return kind(
         demonstrations,
         config.tasks,
