@@ -215,6 +215,18 @@ def test_watching_taking_over_and_handing_back_with_keys(tab: Tab, dataset: Path
 # From keys to a trained policy
 
 
+def compare_demonstration_with_rollout(tab: Tab) -> None:
+    """Open a demonstration, and a rollout beside it, whose policy then judges both."""
+    choose(tab, "judge", "")
+    listed = "document.querySelector('[data-episode^={}]')"
+    for source, button in (("d0", 0), ("rollouts", 1)):  # the rollout beside the demonstration
+        choose(tab, "source", source)
+        tab.wait_for(f"{listed.format(source)} !== null")
+        tab.evaluate(f"{listed.format(source)}.children[{button}].click()")
+        tab.wait_for(f"panes[{button}]?.source === '{source}' && panes[{button}].painted")
+    tab.wait_for("panes.every((pane) => pane.probabilities)")  # of the rollout's policy
+
+
 def test_play_keep_load_scrub_train_and_watch(
     dataset: Path, tmp_path: Path, browser: Browser
 ) -> None:
@@ -250,14 +262,7 @@ def test_play_keep_load_scrub_train_and_watch(
         described = "panes[0].part('.grid').getAttribute('aria-label')"
         assert tab.evaluate(described).startswith("Action probabilities: ")
 
-        choose(tab, "judge", "")
-        listed = "document.querySelector('[data-episode^={}]')"
-        for source, button in (("d0", 0), ("rollouts", 1)):  # the rollout beside the demonstration
-            choose(tab, "source", source)
-            tab.wait_for(f"{listed.format(source)} !== null")
-            tab.evaluate(f"{listed.format(source)}.children[{button}].click()")
-            tab.wait_for(f"panes[{button}]?.source === '{source}' && panes[{button}].painted")
-        tab.wait_for("panes.every((pane) => pane.probabilities)")  # of the rollout's policy
+        compare_demonstration_with_rollout(tab)
 
         tab.evaluate("element('to-play').click()")
         choose(tab, "who", "1")

@@ -91,12 +91,10 @@ def train(
         CheckpointError: the checkpoint is damaged.
         DemonstrationsError, DatasetError: too few demonstrations, or damaged ones.
         DivergedError: the loss or the weights are not finite; the newest good checkpoint is kept.
-        InvalidConfigError: `previous_checkpoint` without `resume`.
-        InvalidConfigError: settings that the algorithm's own configuration does not have.
+        InvalidConfigError: `previous_checkpoint` without `resume`, or settings of another class.
         MissingDependencyError: a tracker's library is not installed.
     """
     folder, algorithm, total = Path(out), find_algorithm(config.algorithm), config.num_updates
-    algorithm.config.from_dict(config.to_dict(), config.algorithm)  # as the folder will be read
     with (
         _opened(folder, config, resume, previous_checkpoint),
         Interrupts() as stop,
@@ -118,6 +116,8 @@ def _opened(folder: Path, config: Config, resume: bool, previous: bool) -> Itera
     keep_freed_memory()
     if previous and not resume:
         raise InvalidConfigError("previous_checkpoint needs resume: a new run has no checkpoints")
+    kind = find_algorithm(config.algorithm).config
+    kind.from_dict(config.to_dict(), config.algorithm)  # as the folder will be read
     with (
         opened_folder(folder, config.to_dict(), resume),
         restored_threads(),
