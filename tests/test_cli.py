@@ -208,6 +208,16 @@ def test_a_module_is_imported_before_any_command(root: Path, words: tuple[str, .
 def test_a_module_that_cannot_be_imported_is_named(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["envs", "--import", "no_such_module"]) == 1
     assert "'no_such_module' cannot be imported" in capsys.readouterr().err
+    assert cli.main(["envs", "--import", "no-module"]) == 1
+    assert "is not a module's name" in capsys.readouterr().err
+
+
+def test_errors_in_a_module_are_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "module_with_a_mistake.py").write_text("raise ValueError('in line 1')")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(ValueError, match="in line 1") as caught:
+        cli.main(["envs", "--import", "module_with_a_mistake"])
+    assert caught.type is ValueError
 
 
 def test_envs_lists_the_registry(capsys: pytest.CaptureFixture[str]) -> None:
@@ -237,6 +247,12 @@ def test_show_writes_both_views(tmp_path: Path, capsys: pytest.CaptureFixture[st
     argv[3] = "4"
     cli.main(argv)
     assert out.read_bytes() != first
+
+
+def test_show_knows_every_generated_task(tmp_path: Path) -> None:
+    out = tmp_path / "scene.png"
+    assert cli.main(["show", "magical/Generated7003-Demo-v0", "--out", str(out)]) == 0
+    assert out.exists()
 
 
 @pytest.mark.parametrize("out", ["", "."])

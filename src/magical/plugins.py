@@ -176,12 +176,14 @@ def import_user_module(name: str) -> ModuleType:
     """
     if name.endswith(".py"):
         return _import_file(Path(name))
-    package = name.partition(".")[0]
+    package, *others = name.split(".")
     try:
+        if not all(map(str.isidentifier, (package, *others))):
+            raise ModuleNotFoundError(f"{name!r} is not a module's name")
         if package not in sys.modules and importlib.util.find_spec(package) is None:
             _search_last(Path.cwd())
         return importlib.import_module(name)
-    except (ModuleNotFoundError, TypeError, ValueError) as error:
+    except ModuleNotFoundError as error:
         raise PluginError(
             f"module {name!r} cannot be imported: {error}; give a module on the import path or in "
             "the working directory, or a path ending in .py"

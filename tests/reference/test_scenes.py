@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from magical.conformance import scenes
-from magical.conformance.recordings import DATA
+from magical.conformance.recordings import DATA, scene_of
 from magical.envs import parse_env_id
 from magical.evaluation import published_tasks
-from magical.scene import Poses, Scene
+from magical.scene import Poses
 from magical.tasks import TASKS, get_task, placement
 from tests.tasks.placement_rules import check_placement
 
@@ -34,16 +34,14 @@ def test_recorded_scenes_keep_the_rules(recorded: Recorded) -> None:
     for env, rows in recorded.items():
         env_id = parse_env_id(env)
         for row in rows:
-            check_placement(
-                get_task(env_id.task), env_id.variant, Scene.from_dict(row), RECORDED_ROUNDING
-            )
+            check_placement(get_task(env_id.task), env_id.variant, scene_of(row), RECORDED_ROUNDING)
 
 
 @pytest.mark.parametrize("name", ["FindDupe", "FixColour"])
 def test_recorded_enclosed_blocks_reach_the_limit(name: str, recorded: Recorded) -> None:
     placement, left = get_task(name).placement, []
     for row in recorded[f"{name}-TestLayout-v0"]:
-        scene = Scene.from_dict(row)
+        scene = scene_of(row)
         for i, r in placement.enclosed(len(scene.blocks)).items():
             (x, y), block = scene.regions[r].centre, scene.blocks[i].pose
             furthest = max(abs(block.x - x), abs(block.y - y))
@@ -53,7 +51,7 @@ def test_recorded_enclosed_blocks_reach_the_limit(name: str, recorded: Recorded)
 
 def test_demo_scenes_are_the_recorded_ones(recorded: Recorded) -> None:
     for name in published_tasks():
-        pair = get_task(name).demo, Scene.from_dict(recorded[f"{name}-Demo-v0"][0])
+        pair = get_task(name).demo, scene_of(recorded[f"{name}-Demo-v0"][0])
         demo, found = ([(b.shape, b.colour) for b in scene.blocks] for scene in pair)
         assert demo == found
         bodies = [Poses.at_rest(scene).bodies for scene in pair]

@@ -54,6 +54,7 @@ WRONG_SCENES: tuple[Any, ...] = (
     *({"robot": robot} for robot in ROBOTS),
     *({"robot": [0, 0, 0], "blocks": blocks} for blocks in BLOCKS),
     *({"robot": [0, 0, 0], "regions": regions} for regions in REGIONS),
+    *({"robot": [0, 0, 0], "goal_regions": []}, {"robot": [0, 0, 0], "robot_first": "false"}),
 )
 WRONG_DYNAMICS: tuple[Any, ...] = (
     *(5, None, "abcde", [1, 2, 3], [1] * 6, [1, 1, 1, 1, "1"], [1, 1, 1, 1, 10**400]),

@@ -102,14 +102,15 @@ def depth_inside(scene: Scene, point: Point) -> float:
 
 
 def disturbed(goal: Undisturbed, scene: Scene, points: list[Point]) -> Way:
-    left, came = set(), set()
+    back: Way = {}
+    came = set()
     for region in scene.regions:
         before = {i for i, b in enumerate(scene.blocks) if region.contains(*b.pose[:2])}
         after = {i for i, at in enumerate(points) if region.contains(*at)}
         if before & goal.selection.blocks(scene):
-            left |= before - after
             came |= after - before
-    back = {i: units_to(InRegion(), scene, i, points) for i in left}
+            for i in before - after:
+                back[i] = max(back.get(i, 0.0), distance_to(region, points[i]))
     return {**back, **{i: depth_inside(scene, points[i]) for i in came}}
 
 

@@ -162,6 +162,7 @@ def test_progress_is_that_of_the_best_way(
         ),
         ("Each(Nearest('centre'), AtWall('top'))", "Push the green star to the top wall."),
         ("Lined(AllBlocks())", "Arrange all blocks in a line."),
+        ("OneOf(AllBlocks(), AtWall('left'))", "Push a block to the left wall."),
         (
             "Exactly(OddOneOut('shape'))",
             "Push the red square into the blue region. Keep all other blocks out of the blue "

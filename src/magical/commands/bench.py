@@ -26,7 +26,7 @@ from magical.commands._common import (
     print_json,
     print_table,
 )
-from magical.envs import EnvId, parse_env_id
+from magical.envs import EnvId, parse_env_id, register_envs
 from magical.observe import make_spec
 from magical.scene.actions import NUM_ACTIONS
 
@@ -104,6 +104,8 @@ def measure(
     import gymnasium
 
     from magical.physics import Simulation
+
+    register_envs(env_id.task)  # a generated task's are not registered yet
 
     def make(**options: Any) -> Any:
         if kind == "env":

@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.conformance.recordings import Comparison, expecting
+from magical.conformance.recordings import Comparison, expecting, scene_of
 from magical.envs.ids import parse_env_id
 from magical.files import write_atomically
 from magical.render import Renderer
@@ -113,7 +113,7 @@ def _state(record: Mapping[str, Any]) -> tuple[Scene, Poses]:
     """The scene and the poses of one record."""
     order = record["draw_order"]
     robot_first = "Shape" in order and order.index("Robot") < order.index("Shape")
-    scene = Scene.from_dict({**record, "robot_first": robot_first})
+    scene = scene_of({**record, "robot_first": robot_first})
     x, y, _ = scene.robot
     fingers = zip(record["finger_positions"], record["finger_angles"], strict=True)
     rows = [

@@ -4,9 +4,9 @@ import gzip
 import json
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Self
 
@@ -14,6 +14,7 @@ import msgspec
 
 from magical.errors import MagicalError, RecordingError
 from magical.files import write_atomically
+from magical.scene import Scene
 
 DATA = Path(__file__).parent / "data"  # the recordings in the package
 RECORDINGS = {
@@ -44,6 +45,12 @@ class Comparison:
     def at_most(cls, name: str, figure: float, limit: float, unit: str, detail: str = "") -> Self:
         """A comparison that passes if the figure is at most `limit`."""
         return cls(name, figure, limit, unit, figure <= limit, detail)
+
+
+def scene_of(record: Mapping[str, Any]) -> Scene:
+    """The scene of a record, which may have other fields."""
+    names = {field.name for field in fields(Scene)}
+    return Scene.from_dict({name: value for name, value in record.items() if name in names})
 
 
 def read_json(path: Path | str, kind: Any) -> Any:

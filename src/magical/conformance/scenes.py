@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from magical.conformance.recordings import Comparison, expecting, read_json, write_json
+from magical.conformance.recordings import Comparison, expecting, read_json, scene_of, write_json
 from magical.envs.ids import parse_env_id
 from magical.scene import Dynamics, Scene
 from magical.tasks import get_task
@@ -54,7 +54,7 @@ def load(path: Path | str) -> dict[str, list[SceneRow]]:
         for env, rows in recorded.items():
             parse_env_id(env)
             for row in filter(None, rows):
-                Scene.from_dict(row)
+                scene_of(row)
                 Dynamics.from_dict(row["dynamics"])
                 _coordinates([row])
                 _categories(parse_env_id(env).task, [row])

@@ -5,8 +5,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from magical.conformance.recordings import Comparison, expecting, read_json, write_json
-from magical.scene import Poses, Scene
+from magical.conformance.recordings import Comparison, expecting, read_json, scene_of, write_json
+from magical.scene import Poses
 from magical.tasks import get_task
 
 LIMIT = 1e-9  # difference of a score
@@ -33,7 +33,7 @@ write = write_json
 
 def _check(index: int, state: ScoredState) -> None:
     task = get_task(state["task"])
-    scene, final = Scene.from_dict(state["scene"]), Scene.from_dict(state["final"])
+    scene, final = scene_of(state["scene"]), scene_of(state["final"])
     task.validate(scene)
     if len(scene.blocks) != len(final.blocks):
         raise ValueError(
@@ -47,8 +47,8 @@ def compute(data: Sequence[ScoredState]) -> list[dict[str, float]]:
     """The `score` and `published_code_score` of each state, in the order of `data`."""
     computed = []
     for state in data:
-        task, scene = get_task(state["task"]), Scene.from_dict(state["scene"])
-        poses = Poses.at_rest(Scene.from_dict(state["final"]))
+        task, scene = get_task(state["task"]), scene_of(state["scene"])
+        poses = Poses.at_rest(scene_of(state["final"]))
         computed.append({rule: getattr(task, rule)(scene, poses) for rule in RULES})
     return computed
 

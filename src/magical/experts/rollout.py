@@ -7,6 +7,7 @@ from gymnasium.utils.seeding import np_random
 from numpy.typing import NDArray
 
 from magical.envs.vector.workers import defining_modules
+from magical.errors import InvalidTaskError
 from magical.experts.expert import Expert, expert_for
 from magical.experts.goals import get_planner
 from magical.experts.memory import Memory, note_other_action
@@ -95,9 +96,15 @@ def modules_of(task: str) -> list[str]:
     """The modules that a new process must import to have a task and its expert.
 
     Raises:
-        InvalidTaskError: the task is from outside the package and not in an importable module.
+        InvalidTaskError: the task, or its expert, is from outside the package and not in an
+            importable module.
         NoExpertError: the task has no expert.
     """
     modules, plan_fn = defining_modules([get_task(task)]), get_planner(task).plan_fn
     planning = getattr(plan_fn, "func", plan_fn).__module__  # for a partial, its function's
+    if planning == "__main__":
+        raise InvalidTaskError(
+            f"expert of {task}: workers import experts by themselves, and never the main script, "
+            "which holds this one; put it into a module that registers it, or use workers=1"
+        )
     return sorted({*modules, planning})

@@ -218,17 +218,21 @@ class Scene:
         Raises `InvalidSceneError` or `UnknownNameError`.
         """
         try:
-            return Scene(
-                robot=data["robot"],
-                blocks=tuple(Block(b[0], b[1], b[2:]) for b in data.get("blocks", ())),
-                regions=tuple(map(_region, data.get("regions", ()))),
-                robot_first=bool(data.get("robot_first", False)),
+            given = dict(data)
+            scene = Scene(
+                robot=given.pop("robot"),
+                blocks=tuple(Block(b[0], b[1], b[2:]) for b in given.pop("blocks", ())),
+                regions=tuple(map(_region, given.pop("regions", ()))),
+                robot_first=given.pop("robot_first", False),
             )
+            if given or not isinstance(scene.robot_first, bool):
+                raise TypeError("another field, or robot_first of another type")
+            return scene
         except (KeyError, IndexError, TypeError, OverflowError) as error:
             raise InvalidSceneError(
-                "scene: expected robot [x, y, angle], blocks [[shape, colour, x, y, angle], ...] "
-                "and regions [{colour, x, y, height, width}, ...] or "
-                f"[[colour, centre x, centre y, height, width], ...], found {quoted(data)}"
+                "scene: expected robot [x, y, angle], blocks [[shape, colour, x, y, angle], ...], "
+                "regions [{colour, x, y, height, width}, ...] or [[colour, centre x, centre y, "
+                f"height, width], ...], robot_first true or false; found {quoted(data)}"
             ) from error
 
 

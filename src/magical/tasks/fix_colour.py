@@ -70,12 +70,6 @@ def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
     return replace(scene, blocks=tuple(blocks), regions=regions)
 
 
-def mismatches(scene: Scene) -> set[int]:
-    """Indices of the blocks whose colour is not their region's."""
-    pairs = zip(scene.blocks, scene.regions, strict=True)
-    return {i for i, (block, region) in enumerate(pairs) if block.colour != region.colour}
-
-
 def validate(scene: Scene) -> str:
     """The reason why the scene does not fit the task, or an empty string."""
     if len(scene.blocks) != len(scene.regions):
@@ -83,12 +77,12 @@ def validate(scene: Scene) -> str:
             "expected a region for every block (block i in region i), found "
             f"{len(scene.blocks)} blocks and {len(scene.regions)} regions"
         )
-    if len(odd := mismatches(scene)) != 1:
-        return f"expected exactly 1 block of another colour than its region, found {len(odd)}"
     for i, region in enumerate(scene.regions):
         inside = [k for k, block in enumerate(scene.blocks) if region.contains(*block.pose[:2])]
         if inside != [i]:
             return f"expected block {i} alone inside region {i}, found blocks {inside}; move them"
+    if len(odd := Mismatched().blocks(scene)) != 1:
+        return f"expected exactly 1 block of another colour than its region, found {len(odd)}"
     return ""
 
 

@@ -7,11 +7,18 @@ from typing import Literal
 
 import numpy as np
 
-from magical.errors import InvalidSceneError, InvalidTaskError, PlacementError, UnknownNameError
+from magical.errors import (
+    InvalidProgramError,
+    InvalidSceneError,
+    InvalidTaskError,
+    PlacementError,
+    UnknownNameError,
+)
 from magical.scene import Dynamics, Poses, Scene
 from magical.tasks.axes import TEST_ALL, VARIANTS, Axis
 from magical.tasks.placement import Placement, sample_placement
 from magical.tasks.programs import Goal, instruction
+from magical.tasks.programs.validity import problem
 from magical.tasks.validation import validate_scene
 
 RandomiseFn = Callable[[Scene, Axis, np.random.Generator], Scene]
@@ -66,6 +73,8 @@ class Task:
                 f"{self.name}: expected {needed} for the axis COUNT, found {self.axes}"
             )
         self.validate(self.demo)
+        if self.program is not None and (reason := problem(self.program, self.demo)):
+            raise InvalidProgramError(f"{self.name}: {reason}")
 
     @property
     def has_two_horizons(self) -> bool:

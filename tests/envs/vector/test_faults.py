@@ -205,6 +205,43 @@ def test_a_script_may_import_a_task_by_its_name(tmp_path: Path) -> None:
     subprocess.run([sys.executable, "script.py"], cwd=tmp_path, check=True, timeout=120)
 
 
+IN_MAIN = """
+import sys
+from dataclasses import replace
+from magical.demos.generate import generate
+from magical.errors import InvalidTaskError, ObservationError
+from magical.evaluation import NoopPolicy, environments, evaluate
+from magical.experts import MovePlan, Planner, register_planner
+from magical.observe import StateSpec
+class Mine(StateSpec):
+    pass
+if __name__ == "__main__":
+    policy = NoopPolicy()
+    policy.observation = Mine(0, 1)
+    env_ids = environments(["MoveToRegion"], ["Demo"])
+    try:
+        evaluate(policy, env_ids, rollouts=2, workers=2)
+    except ObservationError as error:
+        print(error)
+    register_planner("MoveToRegion", Planner(lambda view, strategy, last: MovePlan()))
+    try:
+        generate(env_ids[0], 2, sys.argv[1], workers=2)
+    except InvalidTaskError as error:
+        print(error)
+"""
+
+
+def test_what_only_the_main_script_holds_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "script.py").write_text(IN_MAIN)
+    command = [sys.executable, "script.py", "demos"]
+    done = subprocess.run(
+        command, cwd=tmp_path, check=True, timeout=120, capture_output=True, text=True
+    )
+    first, second = done.stdout.splitlines()
+    assert first.startswith("observation: workers never import the main script")
+    assert second.startswith("expert of MoveToRegion: workers import experts by themselves")
+
+
 # However a script ends; it has no `__main__` guard and does not close.
 SCRIPT = """
 import os, signal, sys

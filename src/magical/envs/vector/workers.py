@@ -24,7 +24,12 @@ from magical.envs.episode import Episode
 from magical.envs.saved_state import SavedState
 from magical.envs.vector.buffers import SharedMemory, VectorBuffers, open_memory
 from magical.envs.vector.sub_envs import Seeds, Started, SubEnvs, VectorSpec
-from magical.errors import InvalidTaskError, WorkerDiedError, WorkerTimeoutError
+from magical.errors import (
+    InvalidTaskError,
+    ObservationError,
+    WorkerDiedError,
+    WorkerTimeoutError,
+)
 from magical.plugins import plugins
 from magical.processes import Child, serve
 from magical.scene.actions import NOOP
@@ -64,6 +69,11 @@ class RemoteSubEnvs:
         self.close = weakref.finalize(self, _end, self._workers, os.getpid())
         try:
             modules = defining_modules(spec.tasks())
+            if type(spec.observation).__module__ == "__main__":
+                raise ObservationError(
+                    "observation: workers never import the main script, which defines this one; "
+                    "put it into a module, or use workers=0"
+                )
             for rows in split(len(spec.env_ids), workers):
                 self._workers.append(_Worker(len(self._workers), rows, spec, memory))
             setup = modules, spec, memory.handle

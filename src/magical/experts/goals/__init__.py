@@ -23,7 +23,10 @@ _registered: dict[str, Planner] = {}
 
 
 def register_planner(task: str, planner: Planner) -> None:
-    """Register a task's planner, replacing any that it already has."""
+    """Register a task's planner, replacing any that it already has.
+
+    Worker processes import the module of its plan function, which should make this call.
+    """
     _registered[task] = planner
 
 

@@ -16,7 +16,13 @@ from magical.scene import Poses, Scene
 from magical.scene.constants import BLOCK_SIZE, ROBOT_RADIUS
 from magical.scene.geometry import Point, lengths, to_workspace
 from magical.tasks.programs.expressions import Attribute, Expression
-from magical.tasks.programs.places import InRegion, OutOfRegions, Place, depths_in_regions
+from magical.tasks.programs.places import (
+    InRegion,
+    OutOfRegions,
+    Place,
+    depths_in_regions,
+    distances_to_regions,
+)
 from magical.tasks.programs.selections import AllBlocks, AllBut, Blocks, Selection, value_of
 from magical.tasks.programs.states import Floats, States
 from magical.tasks.programs.wording import Style, describe, name_regions, stay
@@ -127,6 +133,7 @@ class OneOf(_Placed):
             return super().sentence(scene, style)
         kinds = {value_of(scene.blocks[i], Attribute.KIND) for i in chosen}
         what = self.selection.phrase.replace("every block", "a block")
+        what = what.replace("all blocks", "a block")
         if style.attributes and len(kinds) == 1:
             what = f"one {kinds.pop()}"
         return f"{style.of(MOVE)} {what} {self.place.phrase(scene, style)}."
@@ -183,8 +190,11 @@ class Undisturbed(_OfBlocks):
 
     def ways(self, states: States) -> Floats:
         left, came = self._changes(states.scene, states.points)
-        units = np.where(came, states.units(OutOfRegions()), states.units(InRegion()))
-        return _one_way(states, slice(len(states.scene.blocks)), units, left | came)
+        distances = np.where(left, distances_to_regions(states.scene, states.points), 0.0)
+        out, back = states.units(OutOfRegions()), distances.max(axis=-1, initial=0.0)
+        has_left, has_come = (np.logical_or.reduce(each, axis=-1) for each in (left, came))
+        units, moves = np.where(has_come, out, back), has_left | has_come
+        return _one_way(states, slice(len(states.scene.blocks)), units, moves)
 
     def moved(self, scene: Scene) -> Blocks:
         return frozenset()
@@ -194,15 +204,14 @@ class Undisturbed(_OfBlocks):
         return f"{style.of(KEEP)} {what} {stay(what, self.selection.blocks(scene))}."
 
     def _changes(self, scene: Scene, points: Floats) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Whether blocks at points (..., N, 2) left a region, or entered one: (..., N) each.
+        """Whether blocks at points (..., N, 2) left each region, or entered it: (..., N, R) each.
 
         Only regions in which a selected block starts count.
         """
         starts = np.reshape([block.pose[:2] for block in scene.blocks], (-1, 2))
         before, after = (depths_in_regions(scene, at) >= 0.0 for at in (starts, points))
         about = before[sorted(self.selection.blocks(scene))].any(axis=0)  # (R,)
-        left, came = before & ~after & about, after & ~before & about
-        return np.logical_or.reduce(left, axis=-1), np.logical_or.reduce(came, axis=-1)
+        return before & ~after & about, after & ~before & about
 
 
 class Lined(_OfBlocks):

@@ -49,7 +49,7 @@ class InRegion(Place):
         return float(any(region.contains(*points[block]) for region in scene.regions))
 
     def remaining(self, scene: Scene, points: Floats) -> Floats:
-        nearest: Floats = _distances_to_regions(scene, points).min(axis=-1, initial=np.inf)
+        nearest: Floats = distances_to_regions(scene, points).min(axis=-1, initial=np.inf)
         return nearest
 
     def phrase(self, scene: Scene, style: Style) -> str:
@@ -62,7 +62,7 @@ class InOwnColour(Place):
     def remaining(self, scene: Scene, points: Floats) -> Floats:
         colours = np.array([region.colour for region in scene.regions])
         others = np.array([block.colour for block in scene.blocks])[:, None] != colours  # (N, R)
-        distances = np.where(others, np.inf, _distances_to_regions(scene, points))
+        distances = np.where(others, np.inf, distances_to_regions(scene, points))
         nearest: Floats = distances.min(axis=-1, initial=np.inf)
         return nearest
 
@@ -148,7 +148,7 @@ def depths_in_regions(scene: Scene, points: Floats) -> Floats:
     return depths
 
 
-def _distances_to_regions(scene: Scene, points: Floats) -> Floats:
+def distances_to_regions(scene: Scene, points: Floats) -> Floats:
     """Distances (..., R) from points (..., 2) to each region, 0.0 inside."""
     x, y = points[..., 0, None], points[..., 1, None]
     left, top, width, height = _rectangles(scene)

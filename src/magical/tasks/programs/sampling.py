@@ -79,18 +79,6 @@ class Family:
     horizon: int = HORIZON
 
 
-def _into(rng: Rng) -> Goal:
-    return Each(sample_selection(rng), InRegion())
-
-
-def _exactly(rng: Rng) -> Goal:
-    return Exactly(sample_selection(rng))
-
-
-def _colour(rng: Rng) -> Goal:
-    return Each(OfRegionColour(), InOwnColour())
-
-
 def _landmark(rng: Rng) -> Goal:
     place: Place = (
         InCorner(sample_item(tuple(Corner), rng))
@@ -126,10 +114,6 @@ def _swap(rng: Rng) -> Goal:
     return Together(Every(Enclosed(), OutOfRegions()), Each(chosen, InRegion()))
 
 
-def _line(rng: Rng) -> Goal:
-    return Lined(AllBut(sample_single(rng, region=False)))
-
-
 def _cluster(rng: Rng) -> Goal:
     return Clustered(sample_item((Attribute.COLOUR, Attribute.SHAPE), rng))
 
@@ -137,9 +121,9 @@ def _cluster(rng: Rng) -> Goal:
 # The distribution of programs: families with their weights and scenes.
 DISTRIBUTION: Mapping[str, Family] = MappingProxyType(
     {
-        "into": Family(3, _into, regions=(1, 1)),
-        "exactly": Family(2, _exactly, regions=(1, 1)),
-        "own colour": Family(1, _colour, regions=(2, 2)),
+        "into": Family(3, lambda rng: Each(sample_selection(rng), InRegion()), regions=(1, 1)),
+        "exactly": Family(2, lambda rng: Exactly(sample_selection(rng)), regions=(1, 1)),
+        "own colour": Family(1, lambda rng: Each(OfRegionColour(), InOwnColour()), regions=(2, 2)),
         "landmark": Family(3, _landmark),
         "beside": Family(2, _beside),
         "out": Family(
@@ -150,7 +134,9 @@ DISTRIBUTION: Mapping[str, Family] = MappingProxyType(
         ),
         "like": Family(3, _like, regions=(1, 1), encloses=True),
         "swap": Family(2, _swap, regions=(1, 1), encloses=True),
-        "line": Family(1, _line, outside=LINED),
+        "line": Family(
+            1, lambda rng: Lined(AllBut(sample_single(rng, region=False))), outside=LINED
+        ),
         "clusters": Family(1, _cluster, outside=CLUSTERED, horizon=LONG_HORIZON),
     }
 )
