@@ -74,6 +74,7 @@ def run(args: argparse.Namespace) -> int:
     if args.kind == "training":
         return _run_training(args)
     env_id = parse_env_id(args.env)
+    register_envs(env_id.task)  # a generated task's are not registered yet
     num_envs, workers = (args.num_envs, args.workers) if args.kind == "vector" else (1, 0)
     result = measure(env_id, args.kind, num_envs, workers, args.seconds, args.seed)
     copies = max(1, result["workers"])
@@ -104,8 +105,6 @@ def measure(
     import gymnasium
 
     from magical.physics import Simulation
-
-    register_envs(env_id.task)  # a generated task's are not registered yet
 
     def make(**options: Any) -> Any:
         if kind == "env":

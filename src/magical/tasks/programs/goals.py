@@ -16,13 +16,7 @@ from magical.scene import Poses, Scene
 from magical.scene.constants import BLOCK_SIZE, ROBOT_RADIUS
 from magical.scene.geometry import Point, lengths, to_workspace
 from magical.tasks.programs.expressions import Attribute, Expression
-from magical.tasks.programs.places import (
-    InRegion,
-    OutOfRegions,
-    Place,
-    depths_in_regions,
-    distances_to_regions,
-)
+from magical.tasks.programs.places import InRegion, OutOfRegions, Place, distances_to_regions
 from magical.tasks.programs.selections import AllBlocks, AllBut, Blocks, Selection, value_of
 from magical.tasks.programs.states import Floats, States
 from magical.tasks.programs.wording import Style, describe, name_regions, stay
@@ -132,8 +126,9 @@ class OneOf(_Placed):
         if len(chosen) == 1 and style.attributes:
             return super().sentence(scene, style)
         kinds = {value_of(scene.blocks[i], Attribute.KIND) for i in chosen}
-        what = self.selection.phrase.replace("every block", "a block")
-        what = what.replace("all blocks", "a block")
+        what = self.selection.phrase.replace("every block", "a block").replace(
+            "all blocks", "a block"
+        )
         if style.attributes and len(kinds) == 1:
             what = f"one {kinds.pop()}"
         return f"{style.of(MOVE)} {what} {self.place.phrase(scene, style)}."
@@ -190,10 +185,9 @@ class Undisturbed(_OfBlocks):
 
     def ways(self, states: States) -> Floats:
         left, came = self._changes(states.scene, states.points)
-        distances = np.where(left, distances_to_regions(states.scene, states.points), 0.0)
-        out, back = states.units(OutOfRegions()), distances.max(axis=-1, initial=0.0)
-        has_left, has_come = (np.logical_or.reduce(each, axis=-1) for each in (left, came))
-        units, moves = np.where(has_come, out, back), has_left | has_come
+        back = np.where(left, distances_to_regions(states.scene, states.points), 0.0)
+        has_come, moves = (np.logical_or.reduce(each, axis=-1) for each in (came, left | came))
+        units = np.where(has_come, states.units(OutOfRegions()), back.max(axis=-1, initial=0.0))
         return _one_way(states, slice(len(states.scene.blocks)), units, moves)
 
     def moved(self, scene: Scene) -> Blocks:
@@ -209,7 +203,7 @@ class Undisturbed(_OfBlocks):
         Only regions in which a selected block starts count.
         """
         starts = np.reshape([block.pose[:2] for block in scene.blocks], (-1, 2))
-        before, after = (depths_in_regions(scene, at) >= 0.0 for at in (starts, points))
+        before, after = (distances_to_regions(scene, at) <= 0.0 for at in (starts, points))
         about = before[sorted(self.selection.blocks(scene))].any(axis=0)  # (R,)
         return before & ~after & about, after & ~before & about
 
@@ -388,10 +382,9 @@ def progress(goal: Goal, scene: Scene, poses: Poses) -> float:
     zero over a loop. It falls neither when a block is finished and the next one is far away nor
     when another way becomes better.
     """
-    states = States(scene, poses.bodies[None])
     between_fingers = to_workspace((0.0, ROBOT_RADIUS + BLOCK_SIZE), poses.robot)
     points = positions(scene, poses)
-    ways: list[list[float]] = goal.ways(states)[0].tolist()
+    ways: list[list[float]] = goal.ways(States(scene, poses.bodies[None]))[0].tolist()
     return -min(
         sum(way) + _way_along(between_fingers, [point for i, point in enumerate(points) if way[i]])
         for way in ways
