@@ -5,6 +5,7 @@ instruction. `Together` combines two goals; its score is their product.
 """
 
 import math
+import re
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -76,8 +77,7 @@ class _Placed(_OfBlocks):
 
     def degrees(self, scene: Scene, poses: Poses) -> list[float]:
         """How well each selected block is placed, 0 to 1."""
-        points = positions(scene, poses)
-        chosen = sorted(self.selection.blocks(scene))
+        points, chosen = positions(scene, poses), sorted(self.selection.blocks(scene))
         return [self.place.degree(scene, block, points) for block in chosen]
 
     def ways(self, states: States) -> Floats:
@@ -126,9 +126,7 @@ class OneOf(_Placed):
         if len(chosen) == 1 and style.attributes:
             return super().sentence(scene, style)
         kinds = {value_of(scene.blocks[i], Attribute.KIND) for i in chosen}
-        what = self.selection.phrase.replace("every block", "a block").replace(
-            "all blocks", "a block"
-        )
+        what = re.sub("every block|all blocks", "a block", self.selection.phrase)
         if style.attributes and len(kinds) == 1:
             what = f"one {kinds.pop()}"
         return f"{style.of(MOVE)} {what} {self.place.phrase(scene, style)}."
