@@ -27,7 +27,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="POLICY",
         help="the policy, as for evaluate (default: the one that the entry records)",
     )
-    meaning = "batches of up to 64 rollouts to rerun for each task"
+    meaning = "batches to rerun for each task, of up to 64 rollouts, or 10 on each variant"
     add_count(parser, "--rounds", meaning, default=1)
     add_count(parser, "--seed", "seed that selects the batches (default: random)", least=0)
     add_workers(parser)
