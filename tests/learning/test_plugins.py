@@ -181,7 +181,7 @@ def test_a_configuration_that_could_not_be_read_again_is_not_trained_with(
     config = Anonymous(
         tasks=("MoveToCorner",), demonstrations=DemonstrationSettings(demos=str(demos))
     )
-    with pytest.raises(InvalidConfigError, match="bc: setting 'pace' is unknown"):
+    with pytest.raises(InvalidConfigError, match="bc: expected a BCConfig, found a Anonymous"):
         train(config, tmp_path / "run")
     assert not (tmp_path / "run").exists()
 

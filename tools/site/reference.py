@@ -133,9 +133,10 @@ def configuration_pages() -> dict[str, str]:
     made = {
         "configuration/index.md": (
             "# Configuration\n\nEvery setting is an option of `magical train ALGORITHM`, a keyword "
-            "of `preset` and `replace` in Python, and a key of `settings` in plans. In the tables, "
-            "what differs from the preset `paper` is bold; the last column has what the appendix "
-            "states. [Presets](../presets.md) says what they are for.\n\n"
+            "of `preset` and `replace` in Python, and, except `tasks`, `seed` and `demos`, a key "
+            "of `settings` in plans. In the tables, what differs from the preset `paper` is bold; "
+            "the last column has what the appendix states. [Presets](../presets.md) says what they "
+            "are for.\n\n"
             f"{readme_tables.table(('Algorithm', ''), rows)}\n"
         )
     }

@@ -58,7 +58,7 @@ def split_env_id(env_id: str) -> EnvId:
     """
     if isinstance(env_id, EnvId):
         return env_id
-    task, *rest = env_id.removeprefix(f"{NAMESPACE}/").split("-")
+    task, *rest = str(env_id).removeprefix(f"{NAMESPACE}/").split("-")
     if 2 <= len(rest) <= 3 and rest[-1] != VERSION and re.fullmatch(r"v\d+", rest[-1]):
         raise UnknownNameError(
             f"environment id {quoted(env_id)}: version {rest[-1]} is unknown; expected {VERSION}"

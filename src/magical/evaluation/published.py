@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from magical.errors import UnknownNameError
-from magical.evaluation.intervals import CONFIDENCE, Interval, welch_interval
+from magical.evaluation.intervals import CONFIDENCE, Interval, check_range, welch_interval
 from magical.evaluation.statistics import Spread
 from magical.tasks.axes import full_variant, short_variant
 
@@ -78,8 +78,14 @@ def difference_from_published(
         means: (runs,), each run's mean score in one environment, by the published code's rule.
         published: the mean and standard deviation from the tables.
         confidence: nominal coverage.
+
+    Raises:
+        ValueError: means of another shape or outside [0, 1], or a confidence outside (0, 1).
     """
     ours = np.asarray(means, np.float64)
+    if ours.ndim != 1 or not ours.size:
+        raise ValueError(f"means: expected one for each run, found an array of shape {ours.shape}")
+    check_range(ours)
     value = float(ours.mean()) - published.mean
     if len(ours) < 2:
         return Interval(value, math.nan, math.nan)

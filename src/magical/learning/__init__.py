@@ -1,8 +1,8 @@
 """Learning: networks, augmentation, algorithms and their runs.
 
-Importing this package does not import PyTorch, so commands can list algorithms and read
-configurations without it. Whatever needs PyTorch is imported on first use; if PyTorch is missing,
-this raises `MissingDependencyError` with the command that installs it.
+Importing this package does not import PyTorch, so commands can list algorithms without it.
+Whatever needs PyTorch is imported on first use; if PyTorch is missing, this raises
+`MissingDependencyError` with the command that installs it.
 """
 
 import importlib

@@ -57,7 +57,8 @@ def make_spec(observation: Observation, task: Task) -> ObservationSpec:
 
     Raises:
         UnknownNameError: none of these.
-        PluginError: another distribution's observation cannot be imported, or is something else.
+        ObservationError: invalid fields of `PixelSpec`.
+        PluginError: another distribution's observation cannot be found, or is something else.
     """
     if observation is None:
         return RAW
@@ -90,7 +91,7 @@ def parse_spec(text: str, task: Task) -> ObservationSpec:
     """Parse an observation from untrusted text: a name, or `PixelSpec`'s fields as JSON.
 
     Unlike `make_spec`, this does not import `module:NAME`: the name must be one of this package's
-    or that of an entry point. Raises what `make_spec` and `PixelSpec` raise.
+    or that of an entry point. Raises `UnknownNameError`, for invalid fields too, and `PluginError`.
     """
     if text.startswith("{"):
         return parse_json(text, PixelSpec, "observation", UnknownNameError)

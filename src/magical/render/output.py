@@ -63,7 +63,7 @@ def _words(stack: Stack) -> NDArray[np.uint32] | None:
 def shift_stack(stack: Stack) -> None:
     """Shift the frames of a stack (height, width, C) by one towards the oldest.
 
-    Channels [3:] move to [:-3]; the last 3 keep what they held, to be overwritten by the newest
+    Channels [3:] move to [:-3]; the last 3, undefined now, are to be overwritten by the newest
     frame. For contiguous memory (C-contiguous, or the transposed view of a C-contiguous
     (C, height, width) array) this is one memory move.
     """

@@ -218,7 +218,7 @@ class Scene:
         Raises `InvalidSceneError` or `UnknownNameError`.
         """
         try:
-            given = dict(data)
+            given = {**data}
             scene = Scene(
                 robot=given.pop("robot"),
                 blocks=tuple(Block(b[0], b[1], b[2:]) for b in given.pop("blocks", ())),

@@ -102,14 +102,20 @@ def load_task(name: str) -> Task:
 
     Raises:
         UnknownNameError: no task of this name is registered.
-        PluginError: the task cannot be imported, or is something else.
+        PluginError: the task cannot be found, or is something else.
         InvalidTaskError: another task already has the name of the imported one.
     """
     return register_task(_loaded(name)) if ":" in name else get_task(name)
 
 
 def possible_variants(name: str) -> tuple[str, ...]:
-    """The variants that a registered task has, or may have if it is not imported yet."""
+    """The variants that a task has, or may have if it is not imported yet.
+
+    Raises:
+        UnknownNameError: there is no such task.
+    """
+    if name not in TASKS:
+        get_task(name)  # raises
     return _tasks[name].variants if name in _tasks else tuple(VARIANTS)
 
 

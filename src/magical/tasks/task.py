@@ -40,6 +40,7 @@ class Task:
     Raises:
         InvalidTaskError: fields that contradict each other.
         InvalidSceneError: a Demo scene that does not fit the task.
+        InvalidProgramError: a program with which no episode can start from the Demo scene.
     """
 
     name: str  # as in environment ids, for instance MoveToCorner
@@ -57,7 +58,9 @@ class Task:
     max_regions: int  # over all variants
     mirror_symmetric: bool = True  # whether mirror images of its scenes are scenes of the task
     program: Goal | None = None  # what the task asks for, in the language of goals
-    validate_fn: ValidateFn = _accept  # the reason why a scene does not fit, or ""
+    # The reason why a scene does not fit, or "". A task with a program has no dense reward (NaN) in
+    # scenes for which `magical.tasks.programs.problem` gives a reason.
+    validate_fn: ValidateFn = _accept
 
     def __post_init__(self) -> None:
         if not self.name.isalnum():

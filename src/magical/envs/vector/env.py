@@ -109,7 +109,7 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         render_mode: str | None = None,
         timeout: float | None = None,
     ) -> None:
-        if isinstance(env_ids, str) or not env_ids:
+        if isinstance(env_ids, str) or not (env_ids := tuple(env_ids)):
             raise ValueError(
                 f"env_ids: expected a list of environment ids, found {quoted(env_ids)}"
             )

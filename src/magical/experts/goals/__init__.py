@@ -26,7 +26,12 @@ def register_planner(task: str, planner: Planner) -> None:
     """Register a task's planner, replacing any that it already has.
 
     Worker processes import the module of its plan function, which should make this call.
+
+    Raises:
+        PluginError: it is something else.
     """
+    if not isinstance(planner, Planner):
+        raise PluginError(f"{GROUP}: {task!r}: expected Planner, found {type(planner).__name__}")
     _registered[task] = planner
 
 
@@ -39,6 +44,7 @@ def get_planner(task: str) -> Planner:
     """
     if task in _registered:
         return _registered[task]
+    planner: Planner
     if _is_ours(task):
         planner = importlib.import_module(f"{__name__}.{_file(task)}").PLANNER
     elif is_plugin(GROUP, task):
@@ -54,8 +60,6 @@ def get_planner(task: str) -> Planner:
             f"magical/experts/goals/{_file(task)}.py, an entry point {task} of the group {GROUP}, "
             f"or call magical.experts.register_planner({task!r}, Planner(...))"
         )
-    if not isinstance(planner, Planner):
-        raise PluginError(f"{GROUP}: {task!r}: expected Planner, found {type(planner).__name__}")
     register_planner(task, planner)
     return planner
 
@@ -66,7 +70,9 @@ def has_expert(task: str) -> bool:
 
 
 def _is_ours(task: str) -> bool:
-    return task.isalnum() and find_spec(f"{__name__}.{_file(task)}") is not None
+    return (
+        task.isalnum() and task[0].isupper() and find_spec(f"{__name__}.{_file(task)}") is not None
+    )
 
 
 def _file(task: str) -> str:

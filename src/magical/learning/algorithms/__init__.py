@@ -73,6 +73,7 @@ def read_config(folder: Path | str) -> Config:
     Raises:
         RunFolderError: the record is missing, damaged, or names an unknown algorithm.
         PluginError: the record names a module that is not installed.
+        MissingDependencyError: PyTorch is not installed.
         InvalidConfigError: the settings are invalid.
     """
     path = Path(folder) / CONFIG

@@ -116,8 +116,12 @@ def _opened(folder: Path, config: Config, resume: bool, previous: bool) -> Itera
     keep_freed_memory()
     if previous and not resume:
         raise InvalidConfigError("previous_checkpoint needs resume: a new run has no checkpoints")
-    kind = find_algorithm(config.algorithm).config
-    kind.from_dict(config.to_dict(), config.algorithm)  # as the folder will be read
+    expected, found = (
+        find_algorithm(config.algorithm).config.__qualname__,
+        type(config).__qualname__,
+    )
+    if found != expected:
+        raise InvalidConfigError(f"{config.algorithm}: expected a {expected}, found a {found}")
     with (
         opened_folder(folder, config.to_dict(), resume),
         restored_threads(),
