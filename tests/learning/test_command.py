@@ -2,6 +2,7 @@
 
 import json
 import re
+import shlex
 import subprocess
 import sys
 from importlib.util import find_spec
@@ -30,12 +31,13 @@ def bc(demos: Path, out: Path, *more: str) -> list[str]:
 
 def test_train_stop_resume(demos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "run"
-    assert main(bc(demos, out, "--stop-after", "2", "--json")) == 0
+    track = ["--track", f"{Path(__file__).parent / 'test_trackers.py'}:KEPT"]
+    assert main(bc(demos, out, "--stop-after", "2", "--json", *track)) == 0
     captured = capsys.readouterr()
     summary = json.loads(captured.out.splitlines()[-1])
     assert (summary["step"], summary["finished"], summary["total"]) == (2, False, 4)
     assert {"loss", "accuracy", "samples_per_second", "run"} <= set(summary)
-    assert f"to continue: magical train bc --out {out} --resume" in captured.err
+    assert f"magical train bc --out {out} --resume {shlex.join(track)}" in captured.err
     assert main(["train", "bc", "--out", str(out), "--resume"]) == 0
     assert "finished; to evaluate: magical evaluate" in capsys.readouterr().err
     assert main(["train", "dagger", "--out", str(out), "--resume"]) == 2

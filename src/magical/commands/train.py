@@ -80,7 +80,8 @@ def run(args: argparse.Namespace) -> int:
     if result.finished:
         log(f"{result.folder}: finished; to evaluate: magical evaluate {folder}{imports}")
         return 0
-    again = f"magical train {args.algorithm} --out {folder} --resume{imports}"
+    tracks = f" --track {shlex.join(args.track)}" if args.track else ""
+    again = f"magical train {args.algorithm} --out {folder} --resume{tracks}{imports}"
     log(f"{result.folder}: stopped at step {result.step}; to continue: {again}")
     return INTERRUPTED if result.interrupted else 0
 
