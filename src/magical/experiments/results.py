@@ -113,7 +113,7 @@ class Results:
             write_json(self.path / EXPERIMENT, {**experiment, part: {**known, **found}})
 
     def write_plan(self, runs: Sequence[PlannedRun], references: Sequence[str] = ()) -> None:
-        """Write the plan's runs and reference policies, which reports then show."""
+        """Write the plan's runs and reference policies: what reports and `magical status` show."""
         listed = [asdict(run.listed()) for run in runs]
         write_json(self.path / PLAN, {"runs": listed, "references": list(references)})
 

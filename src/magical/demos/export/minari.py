@@ -75,8 +75,7 @@ def export_minari(
 
 def _env_spec(env_id: EnvId, part: Dataset, actions: ActionSpec) -> Any:
     """The environment's specification, with the episodes' length as its horizon if all share it."""
-    if env_id not in gym.registry:  # a generated task's
-        register_envs(env_id.task)
+    register_envs(env_id.task)  # a generated task's are not registered yet
     spec = copy.deepcopy(gym.spec(env_id))
     if actions is not DISCRETE:
         spec.kwargs["action_space"] = actions.name
