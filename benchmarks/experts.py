@@ -1,7 +1,7 @@
 """Measures the scripted experts: python benchmarks/experts.py [SECTION]...
 
-Sections: speed, lengths, takeover, skill, diversity, states (default: all). Needs no files. For
-scores in all environments, use `magical expert evaluate`.
+Sections: speed, lengths, diversity (default: all). Needs no files. For scores, also of less skilled
+experts and of experts that take over, use `magical expert evaluate`.
 """
 
 import sys
@@ -10,16 +10,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from magical.envs import all_env_ids
-from magical.evaluation import evaluate
-from magical.evaluation.expert import ExpertPolicy
-from magical.experts import ExpertEpisode, expert_for, rollout
-from magical.scene import NUM_ACTIONS, Poses, Scene, State
+from magical.experts import ExpertEpisode, rollout
+from magical.scene import Poses
 from magical.tasks import TASKS, get_task
-
-DEMOS = [env_id for env_id in all_env_ids() if env_id.endswith("-Demo-v0")]
-SKILLS = (1.0, 0.75, 0.5, 0.25)
-STATES = 10_000
 
 
 def main() -> None:
@@ -65,29 +58,6 @@ def lasting(task: str, done: ExpertEpisode) -> int | None:
     return next((i + 1 for i in range(len(scores) - 1, -1, -1) if scores[i] < 1.0), 0)
 
 
-def demo_means(policy: ExpertPolicy, rollouts: int) -> dict[str, float]:
-    """Mean score in the Demo variant of each task."""
-    rows = evaluate(policy, DEMOS, rollouts=rollouts)
-    return {e: float(np.mean([row.score for row in rows if row.env_id == e])) for e in DEMOS}
-
-
-def takeover() -> Iterator[str]:
-    """A random policy for the first third of the horizon, then the expert."""
-    means = demo_means(ExpertPolicy(random_share=1 / 3), rollouts=100)
-    for env_id, mean in means.items():
-        yield f"{env_id:32} {mean:.3f}"
-    rest = [mean for env_id, mean in means.items() if "Cluster" not in env_id]
-    yield f"all tasks {np.mean(list(means.values())):.3f}, without Cluster {np.mean(rest):.3f}"
-
-
-def skill() -> Iterator[str]:
-    """Mean scores over the Demo environments at four skill levels."""
-    table = {s: demo_means(ExpertPolicy(skill=s), rollouts=25) for s in SKILLS}
-    for env_id in DEMOS:
-        yield f"{env_id:32} " + " ".join(f"{table[s][env_id]:.3f}" for s in SKILLS)
-    yield f"{'mean':32} " + " ".join(f"{np.mean(list(table[s].values())):.3f}" for s in SKILLS)
-
-
 def diversity() -> Iterator[str]:
     """Distinct block orders and placements (to about a block) in 25 successful Demo episodes."""
     for task in ("MatchRegions", "MakeLine", "ClusterColour", "ClusterShape"):
@@ -106,36 +76,7 @@ def diversity() -> Iterator[str]:
         yield f"{task:14} {len(orders):2} orders, {len(placements):2} placements, quarter-unit grid"
 
 
-def states() -> Iterator[str]:
-    """Check that the expert returns a valid action in random states of every task."""
-    rng = np.random.default_rng(0)
-    for task in TASKS:
-        spec, memory = get_task(task), None
-        for number in range(STATES):
-            if number % 10 == 0:
-                scene, _ = spec.sample(spec.variants[number // 10 % len(spec.variants)], rng)
-                expert, memory = expert_for(task, rng=rng), None
-            action, memory = expert.act(_scattered(scene, rng), memory)
-            if action not in range(NUM_ACTIONS):
-                raise SystemExit(f"{task}: action {action}")
-        yield f"{task:14} {STATES} states"
-
-
-def _scattered(scene: Scene, rng: np.random.Generator) -> State:
-    poses = Poses.at_rest(scene).bodies.copy()
-    poses[:, :2] = rng.uniform(-0.88, 0.88, size=(len(poses), 2))
-    poses[:, 2] = rng.uniform(-20, 20, size=len(poses))
-    return State(scene, Poses(poses), rng.normal(size=poses.shape), 0, 100)
-
-
-SECTIONS = {
-    "speed": speed,
-    "lengths": lengths,
-    "takeover": takeover,
-    "skill": skill,
-    "diversity": diversity,
-    "states": states,
-}
+SECTIONS = {"speed": speed, "lengths": lengths, "diversity": diversity}
 
 if __name__ == "__main__":
     main()

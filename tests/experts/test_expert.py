@@ -21,7 +21,7 @@ from magical.scene.poses import FIRST_BLOCK
 from magical.tasks import TASKS, get_task
 from tests.experts.scenes import scattered, state_of
 
-STATES = 150  # random states a task here; benchmarks/experts.py covers 10,000
+STATES = 150  # random states of each task
 
 
 @pytest.mark.parametrize("task", TASKS)

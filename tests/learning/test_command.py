@@ -17,7 +17,6 @@ from magical.envs import EnvId
 from magical.evaluation import read_entry
 from magical.learning import algorithm_names
 from magical.report.found.search import find_results
-from magical.runs.folder import CHECKPOINT, PREVIOUS
 from magical.scene import Poses
 from magical.tasks import load_task, unregister_task
 
@@ -93,24 +92,6 @@ def test_an_evaluated_run_says_what_it_is_and_can_be_verified(
     assert main(["evaluate", str(run), *options, "--out", str(linked)]) == 0
     assert main(["verify", str(linked), "--workers", "0"]) == 0
     assert find_results([linked, run]).not_evaluated == []
-
-
-def test_a_damaged_checkpoint_is_named_and_the_previous_one_resumed(
-    demos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = tmp_path / "run"
-    assert main(bc(demos, out, "--checkpoint-every", "2")) == 0
-    (out / CHECKPOINT).write_bytes((out / CHECKPOINT).read_bytes()[:-1])
-    resume = ["train", "bc", "--out", str(out), "--resume"]
-    for command in (["evaluate", str(out)], resume):
-        assert main(command) == 1
-        error = capsys.readouterr().err
-        assert f"checkpoint {out / CHECKPOINT} is damaged" in error
-        assert f"{out / PREVIOUS} of step 2, is intact: resume from it with --resume" in error
-    assert main([*resume, "--previous-checkpoint"]) == 0
-    assert "finished" in capsys.readouterr().err
-    assert main(bc(demos, tmp_path / "new", "--previous-checkpoint")) == 2
-    assert "needs --resume" in capsys.readouterr().err
 
 
 def test_errors_say_what_to_do_and_have_status_1(
@@ -189,15 +170,12 @@ def test_the_run_folder_gets_a_picture_of_the_learning_curves(demos: Path, tmp_p
 
 
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize(
-    "name", ["copied runs", "_hidden", "$1_$", "日本", "/".join(["long"] * 40)]
-)
 def test_runs_from_elsewhere_are_evaluated_and_reported_without_warnings(
-    name: str, demos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    demos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("matplotlib", reason="the report extra is not installed")
     assert main(bc(demos, tmp_path / "here" / "bc")) == 0
-    there = tmp_path / "there" / name
+    there = tmp_path / "copied runs" / "_hidden" / "$1_$" / "日本" / "/".join(["long"] * 40)
     there.parent.mkdir(parents=True)
     (tmp_path / "here").rename(there)
     config = there / "bc" / "config.json"
@@ -208,7 +186,7 @@ def test_runs_from_elsewhere_are_evaluated_and_reported_without_warnings(
     assert main(["evaluate", ".", "--out", ".", *only]) == 0
     assert json.loads((there / "bc" / "entry.json").read_text())["method"] == "bc"
     assert main(["report", str(there / "bc"), "--out", "page.html"]) == 0
-    assert name[:20] in (there / "bc" / "page.html").read_text()
+    assert "日本" in (there / "bc" / "page.html").read_text()
 
 
 def test_without_pytorch_training_names_the_command_that_installs_it() -> None:

@@ -244,7 +244,7 @@ def test_what_only_the_main_script_holds_is_refused(tmp_path: Path) -> None:
 
 # However a script ends; it has no `__main__` guard and does not close.
 SCRIPT = """
-import os, signal, sys
+import os, signal
 from magical.envs.vector import MagicalVectorEnv
 envs = MagicalVectorEnv(["magical/MakeLine-Demo-v0"] * 2, workers=2, observation="state")
 envs.reset(seed=0)
@@ -254,25 +254,17 @@ print(*envs.worker_process_ids, flush=True)
 
 
 @pytest.mark.parametrize(
-    ("end", "status", "printed"),
-    [
-        ("envs.step([0, 0])", 0, ""),
-        ("os.kill(os.getpid(), signal.SIGINT)", -signal.SIGINT, ""),
-        ("os.kill(os.getpid(), signal.SIGTERM)", -signal.SIGTERM, ""),
-        ("os.kill(os.getpid(), signal.SIGKILL)", -signal.SIGKILL, ""),
-        ("if not (child := os.fork()): sys.exit()\n"
-         "os.waitpid(child, 0); envs.step([0, 0]); print('goes on')", 0, "goes on\n"),
-    ],
-    ids=["end", "SIGINT", "SIGTERM", "SIGKILL", "fork"],
-)  # fmt: skip
-def test_workers_end_with_their_script(end: str, status: int, printed: str, tmp_path: Path) -> None:
+    ("end", "status"),
+    [("envs.step([0, 0])", 0), ("os.kill(os.getpid(), signal.SIGKILL)", -signal.SIGKILL)],
+    ids=["end", "SIGKILL"],
+)
+def test_workers_end_with_their_script(end: str, status: int, tmp_path: Path) -> None:
     script = tmp_path / "script.py"
     script.write_text(SCRIPT.format(end=end))
     done = subprocess.run(
         [sys.executable, script], capture_output=True, text=True, timeout=60, check=False
     )
-    workers, _, rest = done.stdout.partition("\n")
-    assert (rest, done.returncode) == (printed, status)
-    assert len(workers.split()) == 2
-    assert gone(map(int, workers.split()))
-    assert done.stderr.count("Traceback") == (status == -signal.SIGINT)
+    assert (done.returncode, done.stderr) == (status, "")
+    workers = [int(worker) for worker in done.stdout.split()]
+    assert len(workers) == 2
+    assert gone(workers)

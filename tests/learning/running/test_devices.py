@@ -1,8 +1,6 @@
 """Device, precision and threads: the configuration and the processor decide, never the load."""
 
 import json
-import subprocess
-import sys
 import threading
 from pathlib import Path
 from typing import Any
@@ -26,9 +24,6 @@ from magical.learning.running.devices import (
     restored_threads,
 )
 from magical.learning.running.speed import training_speeds
-from magical.runs import read_json
-from magical.runs.folder import RECORD
-from tests.learning.tiny_runs import same_weights
 
 
 @pytest.mark.parametrize("ability", ["amx_bf16", "avx512_bf16"])
@@ -58,29 +53,6 @@ def test_threads_are_pytorchs_own_number_unless_given() -> None:
         torch.set_num_threads(2)
         assert choose_compute("cpu", "float32", 0).threads == 2
         assert choose_compute("cuda", "float32", 0).threads == 0
-
-
-def run_train(demos: Path, out: Path) -> None:
-    """The command, with its defaults for precision and threads."""
-    command = ["train", "bc", "--task", "MoveToCorner", "--demos", str(demos), "--num-demos", "2"]
-    command += ["--batches", "4", "--batch-size", "8", "--network", "small", "--device", "cpu"]
-    assert cli.main([*command, "--out", str(out)]) == 0
-
-
-def test_the_same_command_gives_the_same_weights_under_load(demos: Path, tmp_path: Path) -> None:
-    idle, loaded = tmp_path / "idle", tmp_path / "loaded"
-    with restored_threads():
-        torch.set_num_threads(2)
-        run_train(demos, idle)
-        load = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(3)]
-        try:
-            run_train(demos, loaded)
-        finally:
-            for process in load:
-                process.kill()
-                process.wait()
-    assert read_json(idle / RECORD)["compute"] == read_json(loaded / RECORD)["compute"]
-    assert same_weights(idle, loaded)
 
 
 def test_every_way_is_measured() -> None:
