@@ -37,7 +37,7 @@ def check_placement(task: Task, variant: str, scene: Scene, slack: float = v.ROU
         middle, half = (low + high) / 2, (high - low) / 2
         near("sizes", [middle] * len(sizes), sizes, [half] * len(sizes), slack)
     jitter = POSITION_JITTER if Axis.JITTER in axes else inf
-    enclosed = task.placement.enclosed(len(scene.blocks))
+    enclosed = enclosed_blocks(task, len(scene.blocks), len(scene.regions))
     if axes & (Axis.JITTER | Axis.LAYOUT):
         for i, r in enclosed.items():
             limit = min(task.placement.limit(scene.regions[r]), jitter)
@@ -50,9 +50,14 @@ def check_placement(task: Task, variant: str, scene: Scene, slack: float = v.ROU
         check_near_demo(task, Axis.JITTER in axes, scene, slack)
 
 
+def enclosed_blocks(task: Task, blocks: int, regions: int) -> dict[int, int]:
+    """The blocks that start inside a region, and their regions."""
+    return {blocks - regions + i: i for i in range(regions * task.placement.encloses)}
+
+
 def kept_apart(task: Task, bodies: list[Named], regions: list[Named]) -> Iterator[Pair]:
     # The robot is the first body.
-    enclosed = {i + 1: r for i, r in task.placement.enclosed(len(bodies) - 1).items()}
+    enclosed = {i + 1: r for i, r in enclosed_blocks(task, len(bodies) - 1, len(regions)).items()}
     yield from combinations(bodies, 2)
     yield from combinations(regions, 2)
     for (i, body), (j, region) in product(enumerate(bodies), enumerate(regions)):
@@ -65,7 +70,7 @@ def check_near_demo(task: Task, jitter: bool, scene: Scene, slack: float) -> Non
         jitter * limit for limit in (POSITION_JITTER, ANGLE_JITTER, SIZE_JITTER)
     )
     limits = (position, position, angle)
-    enclosed = task.placement.enclosed(len(scene.blocks)) if jitter else {}
+    enclosed = enclosed_blocks(task, len(scene.blocks), len(scene.regions)) if jitter else {}
     near("the robot", task.demo.robot, scene.robot, limits, slack)
     for i, (old, new) in enumerate(zip(task.demo.blocks, scene.blocks, strict=True)):
         first = 2 if i in enclosed else 0  # an enclosed block's position follows its region instead

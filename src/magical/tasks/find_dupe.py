@@ -20,7 +20,6 @@ Variants: all.
 - Dynamics: forces only. All: CountPlus and Dynamics.
 """
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -65,11 +64,6 @@ PROGRAM = Together(
     OneOf(And(Outside(), LikeEnclosed(Attribute.KIND)), InRegion()),
     Together(Every(Enclosed(), InRegion()), Only(LikeEnclosed(Attribute.KIND))),
 )
-
-
-def query_in_region(count: int) -> Mapping[int, int]:
-    """Map enclosed blocks to regions: the last block, the query, is in the only region."""
-    return {count - 1: 0}
 
 
 def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
@@ -124,7 +118,7 @@ TASK = Task(
     demo=DEMO,
     axes=EVERYTHING,
     randomise_fn=randomise,
-    placement=Placement(enclosed=query_in_region, margin=MARGIN),
+    placement=Placement(encloses=True, margin=MARGIN),
     program=PROGRAM,
     score_fn=score,
     published_score_fn=published_score,

@@ -18,7 +18,6 @@ Variants: all.
 - Dynamics: forces only. All: CountPlus and Dynamics.
 """
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -49,11 +48,6 @@ DEMO = Scene(
 )
 
 PROGRAM = Together(Every(Mismatched(), OutOfRegions()), Undisturbed(Matched()))
-
-
-def own_region(count: int) -> Mapping[int, int]:
-    """Map enclosed blocks to regions: block i is in region i."""
-    return {i: i for i in range(count)}
 
 
 def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
@@ -94,7 +88,7 @@ TASK = Task(
     demo=DEMO,
     axes=EVERYTHING,
     randomise_fn=randomise,
-    placement=Placement(region_size=REGION_SIZE, enclosed=own_region, margin=MARGIN),
+    placement=Placement(region_size=REGION_SIZE, encloses=True, margin=MARGIN),
     program=PROGRAM,
     score_fn=PROGRAM.score,
     max_blocks=PAIRS[1],

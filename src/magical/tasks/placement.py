@@ -9,7 +9,6 @@ changes nothing.
 """
 
 import math
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -28,17 +27,20 @@ MAX_PROPOSALS = 1000  # for one body
 MAX_RESTARTS = 20  # attempts at one scene, including the first
 
 
-def _nowhere(count: int) -> Mapping[int, int]:
-    return {}
-
-
 @dataclass(frozen=True)
 class Placement:
-    """How a task's regions and blocks are placed where the common rules leave a choice."""
+    """How a task's regions and blocks are placed where the common rules leave a choice.
 
-    region_size: tuple[float, float] = (0.5, 0.8)  # units: range of height and width
-    enclosed: Callable[[int], Mapping[int, int]] = _nowhere  # number of blocks -> block: its region
-    margin: float = 0.0  # units from an enclosed block's centre to its region's nearest edge
+    Attributes:
+        region_size: range of a region's height and width, in units.
+        encloses: whether the last blocks, as many as there are regions, start inside these, one
+            each, in order.
+        margin: distance of an enclosed block's centre from its region's nearest edge, in units.
+    """
+
+    region_size: tuple[float, float] = (0.5, 0.8)
+    encloses: bool = False
+    margin: float = 0.0
 
     def limit(self, region: Region) -> float:
         """Largest offset of an enclosed block's centre from its region's, in each coordinate."""
@@ -122,12 +124,12 @@ def _attempt(scene: Scene, axes: Axis, rng: np.random.Generator, placement: Plac
         regions.append(_fit(what, solid.silhouette, box, regions, rng))
     robot = _fit("the robot", robot_silhouette(), _box(scene.robot, axes), regions, rng)
     solids, blocks = [*regions, robot], list(scene.blocks)
-    enclosed = placement.enclosed(len(blocks))
-    for i in sorted(range(len(blocks)), key=lambda i: i in enclosed):
-        block, box, obstacles = blocks[i], _box(blocks[i].pose, axes), solids
-        if i in enclosed:
-            own = regions[enclosed[i]]
-            box = box.around(own.pose, placement.limit(scene.regions[enclosed[i]]))
+    outside = len(blocks) - len(regions)
+    for i, block in enumerate(scene.blocks):
+        box, obstacles = _box(block.pose, axes), solids
+        if placement.encloses and i >= outside:
+            own = regions[i - outside]
+            box = box.around(own.pose, placement.limit(scene.regions[i - outside]))
             obstacles = [solid for solid in solids if solid is not own]
         what = f"block {i} ({block.colour} {block.shape})"
         solid = _fit(what, block_silhouette(block.shape), box, obstacles, rng)

@@ -55,7 +55,7 @@ TASK = Task(
     demo=DEMO,
     axes=Axis.JITTER | Axis.COLOUR | Axis.SHAPE | Axis.DYNAMICS,
     randomise_fn=randomise,
-    placement=Placement(enclosed=lambda count: {0: 0}, margin=MARGIN),
+    placement=Placement(encloses=True, margin=MARGIN),
     score_fn=score,
     max_blocks=1,
     max_regions=1,

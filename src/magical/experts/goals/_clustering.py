@@ -7,6 +7,7 @@ that make room around enclosed blocks.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +27,7 @@ from magical.experts.planning import Move, MovePlan, Planner, Strategy
 from magical.experts.state_view import StateView
 from magical.scene.geometry import lengths
 from magical.tasks.programs import Attribute, value_of
+from magical.tasks.scoring import centroid_distances
 
 # When blocks count as clustered, and which anchors are considered.
 PLANNED_RATIO = 0.22  # of squared centroid distances that a plan aims for; tuned
@@ -64,31 +66,26 @@ class ClusterLayout:
 
     positions: Floats  # (n, 2)
     group: Ints  # (n,) index of the block's group
-    members: Floats  # (n, groups) 1 if the block is in the group
+    values: Sequence[str]  # each block's value of the clustered attribute
 
     @staticmethod
     def from_view(view: StateView, attribute: Attribute) -> "ClusterLayout":
         """The current blocks, grouped by an attribute."""
         values = [value_of(block, attribute) for block in view.scene.blocks]
         _, group = np.unique(values, return_inverse=True)
-        positions = np.array(view.resting_blocks)
-        return ClusterLayout(positions, group, np.eye(group.max() + 1)[group])
+        return ClusterLayout(np.array(view.resting_blocks), group, values)
 
     @property
     def groups(self) -> int:
         """The number of groups."""
-        return len(self.members[0])
+        return int(self.group.max()) + 1
 
     def distance_ratios(self, positions: Floats) -> Floats:
         """Ratios (..., n) of squared distances to own and nearest other centroid, at (..., n, 2).
 
         A block counts as correctly clustered below 1 / 3 (appendix A.2.7).
         """
-        centroids = self.members.T @ positions / self.members.sum(axis=0)[:, None]
-        offsets = positions[..., :, None, :] - centroids[..., None, :, :]  # (..., n, groups, 2)
-        squared = np.square(offsets).sum(axis=-1)
-        own = (squared * self.members).sum(axis=-1)
-        other = np.where(self.members > 0, np.inf, squared).min(axis=-1)
+        own, other = centroid_distances(self.values, positions)
         ratios: Floats = own / np.maximum(other, 1e-6)
         return ratios
 

@@ -6,7 +6,6 @@ The tasks are called Generated0000 to Generated9999. What a number determines ch
 
 import math
 import re
-from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
 from functools import cache, partial
@@ -69,7 +68,7 @@ def _make_task(name: str, family: Family, program: Goal, demo: Scene) -> Task:
         demo=demo,
         axes=EVERYTHING,
         randomise_fn=partial(randomise, enclosed=enclosed, most=most),
-        placement=_placement(enclosed),
+        placement=_placement(family),
         program=program,
         score_fn=program.score,
         max_blocks=most + enclosed,
@@ -77,6 +76,10 @@ def _make_task(name: str, family: Family, program: Goal, demo: Scene) -> Task:
         mirror_symmetric=not any(isinstance(part, InCorner | AtWall) for part in program.parts),
         validate_fn=partial(misfit, program=program),
     )
+
+
+def _placement(family: Family) -> Placement:
+    return Placement(region_size=REGION_SIZE, encloses=family.encloses, margin=MARGIN)
 
 
 def randomise(
@@ -121,7 +124,7 @@ def _sample_demo(family: Family, program: Goal, rng: np.random.Generator) -> Sce
     for _ in range(MAX_SCENES):
         scene = randomise(outline, Axis.COLOUR | Axis.SHAPE, rng, enclosed, blocks)
         with suppress(PlacementError):
-            scene = sample_placement(scene, Axis.LAYOUT, rng, _placement(enclosed))
+            scene = sample_placement(scene, Axis.LAYOUT, rng, _placement(family))
             if _has_room_for_all_shapes(scene) and not misfit(scene, program):
                 return scene
     return None
@@ -137,12 +140,3 @@ def _has_room_for_all_shapes(scene: Scene) -> bool:
     robot = Solid.of_robot(scene.robot)
     shaped = (Solid.of_block(replace(b, shape=shape)) for b in scene.blocks for shape in SHAPES)
     return not any(map(robot.overlaps, shaped))
-
-
-def _placement(enclosed: int) -> Placement:
-    """A placement with the last `enclosed` blocks inside the regions, one each, in order."""
-
-    def regions_of(count: int) -> Mapping[int, int]:
-        return {count - enclosed + i: i for i in range(enclosed)}
-
-    return Placement(region_size=REGION_SIZE, enclosed=regions_of, margin=MARGIN)
