@@ -90,4 +90,4 @@ def test_a_frame_that_cannot_be_decoded_is_left_out(tab: Tab) -> None:
 def test_everything_on_the_page_to_play_on_has_a_name_and_a_visible_focus(tab: Tab) -> None:
     seen = names_and_focus(tab, "play", 24)
     expected = {"to-play", "to-look", "restart", "task", "variant", "seed", "who", "view", "name"}
-    assert expected | {"palette", "grip"} <= seen
+    assert expected | {"grip"} <= seen

@@ -4,8 +4,6 @@ import re
 from graphlib import TopologicalSorter
 from pathlib import Path
 
-import pytest
-
 import magical
 
 PAGE = Path(magical.__file__).parent / "web" / "page"
@@ -38,28 +36,17 @@ def contrast(first: tuple[int, ...], second: tuple[int, ...]) -> float:
     return (lighter + 0.05) / (darker + 0.05)
 
 
-def palettes() -> dict[str, dict[str, tuple[int, ...]]]:
-    """The colours of both palettes by name; what the second leaves out is as in the first."""
+def colours() -> dict[str, tuple[int, ...]]:
+    """The page's colours by name."""
     style = (PAGE / "style.css").read_text()
-    found = [
-        {
-            name: tuple(bytes.fromhex(code if len(code) == 6 else "".join(c + c for c in code)))
-            for name, code in re.findall(r"--(\w+): #(\w+);", block)
-        }
-        for block in re.findall(r"(?::root|\[data-palette=\"safe\"\]) \{(.*?)\}", style, re.DOTALL)
-    ]
-    default, safe = found
-    return {"default": default, "safe": default | safe}
+    return {
+        name: tuple(bytes.fromhex(code if len(code) == 6 else "".join(c + c for c in code)))
+        for name, code in re.findall(r"--(\w+): #(\w+);", style)
+    }
 
 
-@pytest.mark.parametrize("palette", ["default", "safe"])
-def test_palettes_have_enough_contrast(palette: str) -> None:
-    colours = palettes()[palette]
-    assert {"ink", "faint", "link", "lit", "good", "bad", "paper"} <= colours.keys()
-    for name in colours.keys() - {"paper", "line"}:
-        assert contrast(colours[name], colours["paper"]) >= 4.5, name
-
-
-def test_the_safe_palette_is_another() -> None:
-    default, safe = palettes().values()
-    assert {name for name in default if default[name] != safe[name]} >= {"lit", "good", "bad"}
+def test_colours_have_enough_contrast() -> None:
+    found = colours()
+    assert {"ink", "faint", "link", "lit", "good", "bad", "paper"} <= found.keys()
+    for name in found.keys() - {"paper", "line"}:
+        assert contrast(found[name], found["paper"]) >= 4.5, name

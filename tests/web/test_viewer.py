@@ -56,7 +56,7 @@ def test_everything_on_the_page_to_look_on_has_a_name_and_a_visible_focus(
     open_newest(tab)
     seen = names_and_focus(tab, "look", 30)
     expected = "source shown-task open reload policy rollout-task rollout-seed close step first run"
-    assert {*expected.split(), "last", "speed", "look-view", "palette"} <= seen
+    assert {*expected.split(), "last", "speed", "look-view"} <= seen
 
 
 def test_an_episode_is_scrubbed_with_keys(tab: Tab, dataset: Path) -> None:
@@ -156,9 +156,7 @@ def test_texts_of_choices_fit_and_the_list_stays_near(
         assert tab.evaluate(below) < 150
 
 
-@pytest.mark.parametrize("palette", ["", "safe"])
-def test_every_probability_can_be_read(tab: Tab, palette: str) -> None:
-    tab.evaluate(f"document.documentElement.dataset.palette = '{palette}'")
+def test_every_probability_can_be_read(tab: Tab) -> None:
     look(tab)
     colours = tab.evaluate(
         "import('/grid.js').then(({ showGrid }) => { const grid = document.createElement('div');"

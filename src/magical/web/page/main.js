@@ -46,21 +46,12 @@ function keyDown(event) {
   else look.keyDown(event);
 }
 
-function setPalette() {
-  const safe = element("palette").checked;
-  document.documentElement.dataset.palette = safe ? "safe" : "";
-  localStorage.setItem("palette", safe ? "safe" : "");
-}
-
 async function start() {
   document.addEventListener("keydown", keyDown);
   document.addEventListener("keyup", input.keyUp);
   window.addEventListener("hashchange", showPage);
   play.bind();
   look.bind();
-  element("palette").checked = localStorage.getItem("palette") === "safe";
-  element("palette").addEventListener("change", setPalette);
-  setPalette();
   try {
     await loadNames();
   } catch (error) {
