@@ -21,7 +21,6 @@ from magical.learning import NetworkPolicy, load_policy, train
 from magical.learning.algorithms.bc import (
     BCConfig,
     BCTrainer,
-    CloningSettings,
     bc_loss,
     make_policy,
 )
@@ -41,12 +40,8 @@ def tiny(demos: Path, **fields: Any) -> BCConfig:
     return tiny_runs.tiny(BCConfig, **{**settings, **fields})
 
 
-@pytest.mark.parametrize("precision", ["float32", "bfloat16"])
-@pytest.mark.parametrize("optimizer", ["adam", "sgd"])
-def test_resumed_runs_are_bit_equal(
-    demos: Path, tmp_path: Path, precision: str, optimizer: str
-) -> None:
-    config = tiny(demos, precision=precision, optimizer=optimizer, tasks=TASKS, augment="all")
+def test_resumed_runs_are_bit_equal(demos: Path, tmp_path: Path) -> None:
+    config = tiny(demos, precision="bfloat16", optimizer="adam", tasks=TASKS, augment="all")
     whole = train(config, tmp_path / "whole")
     assert whole.finished
     first = train(config, tmp_path / "parts", stop_after=3)
@@ -97,7 +92,7 @@ def test_mirrored_samples_have_mirrored_labels(tmp_path: Path) -> None:
     config = tiny(tmp_path, tasks=(task,), augment="none", transform="mirror", batch_size=16)
     with Run(tmp_path, config) as folder:
         trainer = BCTrainer(config, folder)
-        data = trainer.expert_data(((task, picture_demo(task, 0, [left] * 6)),), True)
+        data = trainer.expert_data(((task, picture_demo(task, 0, [left] * 6)),))
         images, labels, _ = trainer.sample_batch(data, 0)
     corners = (images * 255).round() == left * 14  # dark in the upper left half, unless mirrored
     is_left = corners[:, :, :48, :48].flatten(1).all(dim=1)
@@ -115,20 +110,6 @@ def test_the_optimiser_gets_the_learning_rate_of_the_batch(demos: Path, tmp_path
     train(tiny(demos, batches=4, learning_rate=1e-3, anneal=True), tmp_path / "run")
     (group,) = checkpoint(tmp_path / "run")["optimizer"]["param_groups"]
     assert group["lr"] == pytest.approx(0.25e-3)
-
-
-def test_paper_preset_is_table_3() -> None:
-    config = BCConfig.preset("paper", tasks=("FindDupe",), demos="d")
-    assert config.cloning == CloningSettings(
-        batches=20_000,
-        batch_size=32,
-        learning_rate=1e-3,
-        optimizer="sgd",
-        momentum=0.1,
-        anneal=False,
-        augment="all",
-    )
-    assert (config.networks.network, config.demonstrations.num_demos) == ("paper", 10)
 
 
 def call_at(at: int, act: Callable[[], None]) -> Callable[[int, Mapping[str, float | str]], None]:

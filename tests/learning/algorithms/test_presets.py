@@ -63,7 +63,6 @@ CHANGES: dict[str, dict[str, Any]] = {
         "episodes": 2,
         "variants": ("Layout",),
         "beta_decay": 1.0,
-        "keep_noops": True,
     },
     "object-bc": {
         "seed": 1,
@@ -125,7 +124,7 @@ CHANGES["ppo"] = {
     "normalise_advantages": False,
     "bootstrap": False,
 }
-CHANGES["program-bc"] = CHANGES["object-bc"]
+CHANGES["program-bc"] = {"num_demos": 1}  # all others are those of object-bc
 OF_OBJECTS = ("object-bc", "program-bc")
 # Those of objects for their demonstrations, the last for its episodes.
 ONE_TASK = ("al", "wgail-gp", *OF_OBJECTS, "dagger")

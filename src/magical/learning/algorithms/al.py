@@ -136,7 +136,7 @@ class ALConfig(ReinforcementConfig):
 def train(config: ALConfig, run: Run) -> None:
     """Pretrain the autoencoder, then imitate demonstrations."""
     demonstrations = load_demonstrations(config, run)
-    with PPOTrainer(config, run, previous_steps=config.pretraining_batches) as ppo:
+    with PPOTrainer(config, run) as ppo:
         expert = ExpertData(
             demonstrations, config.tasks, config.observation_spec, device=ppo.device
         )

@@ -188,7 +188,7 @@ def train(config: BCConfig, run: Run) -> None:
     """Clone the demonstrations."""
     trainer = BCTrainer(config, run)
     demonstrations = load_demonstrations(config, run)
-    trainer.fit(trainer.expert_data(demonstrations, remove_noops=True), config.num_updates)
+    trainer.fit(trainer.expert_data(demonstrations), config.num_updates)
 
 
 class Batch(NamedTuple):
@@ -234,8 +234,12 @@ class BCTrainer:
         module: nn.Module = self._average.module if self._average else self.network
         return module
 
-    def expert_data(self, demonstrations: TaskTrajectories, remove_noops: bool) -> ExpertData:
-        """The demonstrations' samples, on the trainer's device; raises as `choose_image_data`."""
+    def expert_data(self, demonstrations: TaskTrajectories) -> ExpertData:
+        """The samples of the demonstrations but no-ops, on the trainer's device.
+
+        Raises:
+            DemonstrationsError, RunFolderError: see `choose_image_data`.
+        """
         config, cloning, kind = self.config, self.config.cloning, ExpertData
         if not config.observes_vectors:
             names = cloning.transformations
@@ -247,7 +251,7 @@ class BCTrainer:
             config.tasks,
             config.observation_spec,
             device=self.device,
-            remove_noops=remove_noops,
+            remove_noops=True,
         )
 
     def fit(

@@ -77,7 +77,6 @@ class DAggerConfig(BCConfig):
     beta_decay: float = option(
         0.5, "in round i, the expert's action is taken with probability decay^i", FRACTION
     )
-    keep_noops: bool = option(False, "train on no-op labels too")
     workers: int | None = option(
         None, "environment processes (default: one per core)", NOT_NEGATIVE
     )
@@ -235,7 +234,7 @@ def train_round(
     episodes = aggregated.until(number)
     entries = episodes.entries
     labelled = (*demonstrations, *zip((entry.task for entry in entries), episodes, strict=True))
-    data = trainer.expert_data(labelled, remove_noops=not config.keep_noops)
+    data = trainer.expert_data(labelled)
     metrics = {
         "round": number,
         "expert_share": config.beta(number),

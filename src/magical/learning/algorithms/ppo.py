@@ -157,16 +157,9 @@ class PPOTrainer(InteractionTrainer):
     config: ReinforcementConfig
     network: ActorCritic
 
-    def __init__(
-        self,
-        config: ReinforcementConfig,
-        run: Run,
-        reward: Reward = "none",
-        previous_steps: int = 0,
-    ) -> None:
+    def __init__(self, config: ReinforcementConfig, run: Run, reward: Reward = "none") -> None:
         """See `InteractionTrainer`."""
-        rate = config.ppo.learning_rate
-        super().__init__(config, run, make_policy(config), rate, reward, previous_steps)
+        super().__init__(config, run, make_policy(config), config.ppo.learning_rate, reward)
 
     def remaining_updates(self) -> range:
         """The numbers of the remaining updates."""

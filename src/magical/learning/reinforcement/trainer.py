@@ -43,13 +43,10 @@ class InteractionTrainer:
         network: PolicyNetwork,
         learning_rate: float,
         reward: Reward = "none",
-        previous_steps: int = 0,
     ) -> None:
-        """Create a trainer that optimises a network with Adam.
-
-        `previous_steps` are the run's steps before the first update, such as pretraining.
-        """
-        self.config, self.run, self.previous_steps = config, run, previous_steps
+        """Create a trainer that optimises a network with Adam."""
+        self.config, self.run = config, run
+        self.previous_steps = config.num_updates - config.interaction.num_updates  # as pretraining
         self.device = choose_device(config.device)
         self.network = network.to(self.device)
         self.optimizer = Adam(self.network.parameters(), learning_rate, fused=True)
