@@ -26,7 +26,7 @@ from magical.commands._common import (
     print_json,
     print_table,
 )
-from magical.envs import EnvId, parse_env_id, register_envs
+from magical.envs import EnvId, parse_env_id
 from magical.observe import make_spec
 from magical.scene.actions import NUM_ACTIONS
 
@@ -74,7 +74,6 @@ def run(args: argparse.Namespace) -> int:
     if args.kind == "training":
         return _run_training(args)
     env_id = parse_env_id(args.env)
-    register_envs(env_id.task)  # a generated task's are not registered yet
     num_envs, workers = (args.num_envs, args.workers) if args.kind == "vector" else (1, 0)
     result = measure(env_id, args.kind, num_envs, workers, args.seconds, args.seed)
     copies = max(1, result["workers"])
@@ -102,15 +101,17 @@ def measure(
 
     Returns plain data for JSON.
     """
-    import gymnasium
-
+    from magical.envs.env import MagicalEnv
+    from magical.envs.vector import MagicalVectorEnv
     from magical.physics import Simulation
 
-    def make(**options: Any) -> Any:
+    def make(observation: str | None = None) -> Any:
+        env: Any
         if kind == "env":
-            env: Any = gymnasium.make(env_id, **options).unwrapped
+            chosen = observation or env_id.preset
+            env = MagicalEnv(env_id.task, env_id.variant, observation=chosen)
         else:
-            env = gymnasium.make_vec(env_id, num_envs, workers=workers, **options).unwrapped
+            env = MagicalVectorEnv([env_id] * num_envs, workers=workers, observation=observation)
         stack.callback(env.close)
         env.reset(seed=seed)
         return env

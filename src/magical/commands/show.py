@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from magical.commands._common import add_json, add_out, add_seed, print_json
-from magical.envs import parse_env_id, register_envs
+from magical.envs import parse_env_id
 from magical.errors import UnknownNameError
 from magical.files import write_atomically
 
@@ -21,16 +21,16 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Reset the environment and save its rendering."""
-    import gymnasium
     import numpy as np
     from PIL import Image
+
+    from magical.envs.env import MagicalEnv
 
     env_id = parse_env_id(args.env_id)
     out = args.out or Path(f"{env_id.replace('/', '-')}.png")
     if out.suffix.lower() not in ("", ".png"):
         raise UnknownNameError(f"{out}: expected the suffix .png")
-    register_envs(env_id.task)  # a generated task's are not registered yet
-    env = gymnasium.make(env_id, render_mode="rgb_array")
+    env = MagicalEnv(env_id.task, env_id.variant, render_mode="rgb_array")
     env.reset(seed=args.seed)
     with write_atomically(out) as file:
         Image.fromarray(np.asarray(env.render(), dtype=np.uint8)).save(file, format="PNG")

@@ -29,8 +29,15 @@ def register_envs(task: str) -> None:
     `TimeLimit` and `OrderEnforcing` wrappers are not used.
     """
     for variant, preset in product(possible_variants(task), (None, *PRESETS)):
-        kwargs = {"task": task, "variant": variant} | ({"observation": preset} if preset else {})
-        _add(EnvId(task, variant, preset), ENVIRONMENT, VECTOR_ENVIRONMENT, kwargs)
+        _add(env_spec(EnvId(task, variant, preset)))
+
+
+def env_spec(env_id: EnvId) -> EnvSpec:
+    """The specification of an environment, whether or not it is registered."""
+    kwargs = {"task": env_id.task, "variant": env_id.variant}
+    if env_id.preset:
+        kwargs["observation"] = env_id.preset
+    return _spec(env_id, ENVIRONMENT, VECTOR_ENVIRONMENT, kwargs)
 
 
 def register_all() -> None:
@@ -44,22 +51,28 @@ def register_all() -> None:
     for name, preset in product(published, (None, *PRESETS)):
         for variant in TASKS[name].variants:
             env_id = EnvId(name, variant, preset)
-            kwargs = {**gym.registry[env_id].kwargs, "new_id": str(env_id)}
-            _add(env_id.removeprefix(f"{NAMESPACE}/"), PUBLISHED_ID, PUBLISHED_ID, kwargs)
+            kwargs = {**env_spec(env_id).kwargs, "new_id": str(env_id)}
+            old_id = env_id.removeprefix(f"{NAMESPACE}/")
+            _add(_spec(old_id, PUBLISHED_ID, PUBLISHED_ID, kwargs))
 
 
-def _add(env_id: str, entry_point: str, vector_entry_point: str, kwargs: dict[str, Any]) -> None:
-    """Add an environment unless its id is taken: entries name their task, so they stay valid.
-
-    `gymnasium.register` compares each id with all others, which takes seconds for thousands.
-    """
-    spec = EnvSpec(
+def _spec(
+    env_id: str, entry_point: str, vector_entry_point: str, kwargs: dict[str, Any]
+) -> EnvSpec:
+    return EnvSpec(
         id=str(env_id),
         entry_point=entry_point,
         vector_entry_point=vector_entry_point,
         order_enforce=False,
         kwargs=kwargs,
     )
+
+
+def _add(spec: EnvSpec) -> None:
+    """Add an environment unless its id is taken: entries name their task, so they stay valid.
+
+    `gymnasium.register` compares each id with all others, which takes seconds for thousands.
+    """
     gym.registry.setdefault(spec.id, spec)
 
 

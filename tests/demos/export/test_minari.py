@@ -105,7 +105,7 @@ def test_failed_minari_export_leaves_none_of_its_datasets(mixed: Path, tmp_path:
     assert sorted(root.rglob("*")) == before
 
 
-def test_generated_tasks_are_registered_when_they_are_exported(tmp_path: Path) -> None:
+def test_generated_tasks_are_exported(tmp_path: Path) -> None:
     env_id = parse_env_id("magical/Generated0003-Demo-v0")
     assert not any("Generated0003" in name for name in gymnasium.registry)
     DatasetWriter(tmp_path / "d").append(demonstrate(env_id, seed=0))

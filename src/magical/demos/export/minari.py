@@ -3,7 +3,6 @@
 Needs the `minari` extra.
 """
 
-import copy
 import os
 import re
 import tempfile
@@ -13,7 +12,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
 import minari
 import numpy as np
 from minari.data_collector.episode_buffer import EpisodeBuffer
@@ -24,8 +22,9 @@ import magical
 from magical.demos.store.dataset import Dataset
 from magical.demos.store.reader import observations
 from magical.demos.store.trajectory import Trajectory
-from magical.envs import EnvId, register_envs
+from magical.envs import EnvId
 from magical.envs.action_spec import DISCRETE, ActionSpaceName, ActionSpec, action_spec
+from magical.envs.registration import env_spec
 from magical.errors import DatasetError, UnknownNameError
 from magical.observe import PRESETS
 
@@ -69,14 +68,13 @@ def export_minari(
             part = dataset.filter(env_id=env_id)
             actions = action_spec(action_space or part.action_space())
             with_preset = EnvId(env_id.task, env_id.variant, preset)
-            _create(minari_id, _env_spec(with_preset, part, actions), part, preset, actions)
+            _create(minari_id, _spec(with_preset, part, actions), part, preset, actions)
     return made
 
 
-def _env_spec(env_id: EnvId, part: Dataset, actions: ActionSpec) -> Any:
+def _spec(env_id: EnvId, part: Dataset, actions: ActionSpec) -> Any:
     """The environment's specification, with the episodes' length as its horizon if all share it."""
-    register_envs(env_id.task)  # a generated task's are not registered yet
-    spec = copy.deepcopy(gym.spec(env_id))
+    spec = env_spec(env_id)
     if actions is not DISCRETE:
         spec.kwargs["action_space"] = actions.name
     lengths = {entry.length for entry in part.entries}
