@@ -21,7 +21,7 @@ from magical.evaluation.intervals import Floats
 from magical.evaluation.statistics import difference, run_means
 from magical.grouping import group_by
 from magical.report.found.search import search_results
-from magical.runs.plan import RUNS, listed_runs
+from magical.runs.plan import RUNS, read_listing
 from magical.tasks.axes import SHORT_VARIANTS, short_variant
 
 Runs = Sequence[Sequence[RolloutScore]]
@@ -64,7 +64,7 @@ def read_methods(results: Path, tasks: Sequence[str] | None) -> Mapping[str, Run
         ]
         for method, runs in group_by(entries, attrgetter("method")).items()
     }
-    methods = dict.fromkeys(run.method for run in listed_runs(results))
+    methods = dict.fromkeys(run.method for run in read_listing(results).runs)
     return {m: kept for m in methods if (kept := list(filter(None, rows.get(m, ()))))}
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from magical.evaluation import RolloutScore, evaluate, read_scores, write_scores
 from magical.evaluation.statistics import run_means
 from magical.learning import EnsemblePolicy
-from magical.runs.plan import RUNS, listed_runs
+from magical.runs.plan import RUNS, read_listing
 from magical.tasks.axes import short_variant
 
 
@@ -40,7 +40,7 @@ def main() -> None:
     add("--out", type=Path, required=True, help="folder for the ensembles' scores")
     arguments = parser.parse_args()
     groups: dict[str, list[Path]] = defaultdict(list)
-    for run in listed_runs(arguments.results):
+    for run in read_listing(arguments.results).runs:
         if run.method == arguments.method:
             groups["+".join(run.tasks)].append(arguments.results / RUNS / run.folder)
     if not groups:

@@ -27,7 +27,7 @@ from magical.learning import load_policy, read_config
 from magical.learning.running import training
 from magical.runs import versions
 from magical.runs.machine import machine
-from magical.runs.plan import listed_references
+from magical.runs.plan import read_listing
 from magical.tasks import unregister_task
 from tests.experiments.processes import scores_of
 
@@ -354,6 +354,6 @@ def test_a_task_of_a_module_is_known_in_the_processes_of_runs_and_references(
         references = [("expert", runs[0].evaluation)]
         assert execute(runs, out, Resources(workers=1), references=references).complete
         assert (out / "references" / "expert-DriveHere" / "scores.csv").exists()
-        assert listed_references(out) == ("expert-DriveHere",)
+        assert read_listing(out).references == ("expert-DriveHere",)
     finally:
         unregister_task("DriveHere")

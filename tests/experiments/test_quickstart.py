@@ -56,7 +56,6 @@ def test_a_second_quickstart_takes_up_what_is_there(
     assert "MoveToCorner" not in printed.out
     assert json.loads(printed.out.splitlines()[-1])["rows"]
     assert f"report: {folder / 'report.html'}" in printed.err
-    assert re.search(r"\d s  reference policies\n +\d+ s  the page", printed.err)
 
 
 def test_it_is_a_plan_that_can_be_run() -> None:

@@ -6,7 +6,6 @@ pixels; its policies, the expert and a random policy are evaluated on all varian
 """
 
 import argparse
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -61,7 +60,6 @@ def run(args: argparse.Namespace) -> int:
     log(str(summary))
     if not summary.complete:
         return INTERRUPTED if summary.interrupted else 1
-    start = time.perf_counter()
     page = argparse.Namespace(
         folders=[args.out],
         published=["BC (ST)"],
@@ -73,7 +71,5 @@ def run(args: argparse.Namespace) -> int:
         clips=len(plan.tasks) * (len(plan.methods) + len(plan.references)),
     )
     status = report.run(page)
-    for name, seconds in {**summary.seconds, "the page": time.perf_counter() - start}.items():
-        log(f"{seconds:6.0f} s  {name}")
     log(f"report: {page.out.resolve()}")
     return status

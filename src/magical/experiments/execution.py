@@ -1,11 +1,10 @@
 """Executing the runs of a plan, locally or on a cluster: when each is started, how each ends."""
 
 import shlex
-import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -109,14 +108,12 @@ class Summary:
         counts: the number of runs by state: `done` and `failed`; the rest are not finished.
         total: the number of runs in the plan.
         interrupted: whether Ctrl-C or SIGTERM was received.
-        seconds: how long each part of this execution took, by name.
     """
 
     out: Path
     counts: Counter[str]
     total: int
     interrupted: bool
-    seconds: Mapping[str, float]
 
     @property
     def complete(self) -> bool:
@@ -169,7 +166,6 @@ def execute(
         ClusterError: the Ray cluster cannot be reached.
         DatasetError, DemonstrationsError: no demonstrations to learn from, or too few.
     """
-    seconds: dict[str, float] = {}
     with Interrupts() as stop, opened(out, runs) as results:
         states = {run: results.state(run) for run in runs}
         require_same_demonstrations([run for run in runs if states[run] == DONE], results)
@@ -186,22 +182,12 @@ def execute(
         with suppress(_Interrupted), closing(_References(references, results, resources)) as others:
             if waiting:
                 with closing(_executor(waiting, results, resources)) as executor:
-                    with _timed("demonstrations", seconds):
-                        demos = prepare_demonstrations(waiting, results, resources.workers, go_on)
-                    with _timed("training and evaluation", seconds), Display(out) as display:
+                    demos = prepare_demonstrations(waiting, results, resources.workers, go_on)
+                    with Display(out) as display:
                         _finish_all(waiting, demos, results, executor, display, stop, others)
-            with _timed("reference policies", seconds):
-                others.finish(go_on)
+            others.finish(go_on)
         counts = Counter(filter(None, map(results.state, runs)))
-        return Summary(results.path, counts, len(runs), stop.seen, seconds)
-
-
-@contextmanager
-def _timed(part: str, seconds: dict[str, float]) -> Iterator[None]:
-    """Record how many seconds the context takes, under the name of a part."""
-    start = time.perf_counter()
-    yield
-    seconds[part] = time.perf_counter() - start
+        return Summary(results.path, counts, len(runs), stop.seen)
 
 
 class _Interrupted(Exception):

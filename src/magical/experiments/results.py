@@ -22,7 +22,7 @@ from magical.experiments.plan import PlannedRun
 from magical.files import OwnedFolder, sha256_sum
 from magical.messages import quoted
 from magical.runs.folder import CHECKPOINT, versions, write_json
-from magical.runs.plan import PLAN, RESULT, RUNS, listed_runs
+from magical.runs.plan import PLAN, RESULT, RUNS, read_listing
 from magical.untrusted import read_json
 
 FORMAT = 1
@@ -203,7 +203,7 @@ def check_results(path: Path, runs: Sequence[PlannedRun]) -> None:
             f"magical {__version__} (format {FORMAT}): their scores may differ. Choose another "
             "folder (--out), or install that version"
         )
-    methods = {run.method for run in listed_runs(path)}
+    methods = {run.method for run in read_listing(path).runs}
     if methods and not methods & {run.method for run in runs}:
         raise ResultsError(
             f"{path} holds results of another plan, with the methods {', '.join(sorted(methods))}; "

@@ -22,7 +22,7 @@ from magical.experiments.results import (
 from magical.files import LOCK, is_locked
 from magical.grouping import group_by
 from magical.runs.metrics import read_metrics
-from magical.runs.plan import MAX_BYTES, RUNS, ListedRun, listed_runs
+from magical.runs.plan import MAX_BYTES, RUNS, ListedRun, read_listing
 from magical.untrusted import read_json
 
 RUNNING = "running"
@@ -120,7 +120,7 @@ def read_status(folder: Path | str) -> Status:
     if active and (path / PROGRESS).exists():
         progress = read_json(path / PROGRESS, RunsInProgress, ResultsError, max_bytes=MAX_BYTES)
     runs = tuple(
-        _run_status(path, run, run.folder in progress.running) for run in listed_runs(path)
+        _run_status(path, run, run.folder in progress.running) for run in read_listing(path).runs
     )
     others = {folder.name for folder in run_folders(path)} - {run.folder for run in runs}
     return Status(path, active, progress.slots, runs, len(others))

@@ -47,31 +47,26 @@ def file_name(method: str) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class _PlanRecord:
-    runs: tuple[ListedRun, ...]
-    references: tuple[str, ...] | None = None  # folders in `REFERENCES`; None: not recorded
-    collected: dict[str, Any] = field(default_factory=dict)  # used by the studies
+class Listing:
+    """What a results folder lists in `plan.json`.
+
+    Attributes:
+        runs: the planned runs.
+        references: the folders of reference policies in `REFERENCES`; `None`: not recorded.
+        collected: used by the studies.
+    """
+
+    runs: tuple[ListedRun, ...] = ()
+    references: tuple[str, ...] | None = None
+    collected: dict[str, Any] = field(default_factory=dict)
 
 
-def listed_runs(path: Path) -> tuple[ListedRun, ...]:
-    """The runs in the `plan.json` of a results folder; empty if there is no such file.
+def read_listing(path: Path) -> Listing:
+    """What the `plan.json` of a results folder lists; nothing if there is no such file.
 
     Raises:
         ResultsError: the file is damaged, or lists something else.
     """
-    return _read(path).runs
-
-
-def listed_references(path: Path) -> tuple[str, ...] | None:
-    """The folders of reference policies in the `plan.json` of a results folder; `None` if unknown.
-
-    Raises:
-        ResultsError: the file is damaged, or lists something else.
-    """
-    return _read(path).references
-
-
-def _read(path: Path) -> _PlanRecord:
     if not (path / PLAN).exists():
-        return _PlanRecord(())
-    return read_json(path / PLAN, _PlanRecord, ResultsError, max_bytes=MAX_BYTES)
+        return Listing()
+    return read_json(path / PLAN, Listing, ResultsError, max_bytes=MAX_BYTES)

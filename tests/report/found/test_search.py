@@ -12,7 +12,7 @@ from magical.report.found.missing import find_missing
 from magical.report.found.search import find_results, search_results
 from magical.report.pages.evaluated import write_page
 from magical.runs.folder import write_json
-from magical.runs.plan import ListedRun, listed_runs
+from magical.runs.plan import Listing, read_listing
 from tests.report.conftest import WriteEntry
 
 LINE = {"MakeLine-Demo": [1.0, 0.0]}
@@ -265,10 +265,10 @@ def test_a_plan_is_read_once_whatever_the_number_of_its_runs(
     write_plan(tmp_path, "run0", "run1", "run2")
     read: list[Path] = []
 
-    def noted(results: Path) -> tuple[ListedRun, ...]:
+    def noted(results: Path) -> Listing:
         read.append(results)
-        return listed_runs(results)
+        return read_listing(results)
 
-    monkeypatch.setattr(search, "listed_runs", noted)
+    monkeypatch.setattr(search, "read_listing", noted)
     assert len(find_results([tmp_path]).results) == 3
     assert read == [tmp_path]

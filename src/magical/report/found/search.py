@@ -16,19 +16,11 @@ from magical.evaluation.collection import is_collection, read_collection
 from magical.evaluation.entry import ENTRY_FILE, POLICY, SCORES_FILE
 from magical.runs import is_run, read_json
 from magical.runs.folder import CONFIG, RECORD
-from magical.runs.plan import (
-    PLAN,
-    REFERENCES,
-    RESULT,
-    RUNS,
-    ListedRun,
-    listed_references,
-    listed_runs,
-)
+from magical.runs.plan import PLAN, REFERENCES, RESULT, RUNS, ListedRun, Listing, read_listing
 
 TELLING = 20  # rollouts whose score is not the most frequent one: enough to identify a run
 
-Listed = Callable[[Path], Mapping[str, ListedRun]]  # the runs of a results folder, by folder
+Listed = Callable[[Path], Listing]  # of a results folder
 
 
 @dataclass(frozen=True)
@@ -170,7 +162,7 @@ def search_results(folders: Iterable[Path | str], without: Path | None = None) -
     skipped: list[Skipped] = []
     places: list[Path] = []
     known: set[Path] = set()
-    listed = cache(_listed)  # every plan is read only once
+    listed = cache(_listing)  # every plan is read only once
     for root in map(Path, folders):
         new = [place for place in _places(root, without) if place.resolve() not in known]
         places += new
@@ -253,10 +245,10 @@ def _is_planned(place: Path, root: Path, listed: Listed) -> bool:
             break
         results = folder.parent.parent
         if folder.parent.name == RUNS and (results / PLAN).is_file():
-            planned = listed(results)
-            return not planned or folder.name in planned
+            runs = listed(results).runs
+            return not runs or any(folder.name == run.folder for run in runs)
         if folder.parent.name == REFERENCES:
-            references = _references(results)
+            references = listed(results).references
             return references is None or folder.name in references
     return True
 
@@ -270,24 +262,17 @@ def _planned(
         return None
     done = {folder.name for folder in evaluated if folder is not None}
     # A plan's runs may be in several results folders; run folder names contain a digest.
-    left = {name: (run, plan) for plan in plans for name, run in listed(plan).items()}
+    left = {run.folder: (run, plan) for plan in plans for run in listed(plan).runs}
     return [
         (run, _state(plan / RUNS / name)) for name, (run, plan) in left.items() if name not in done
     ]
 
 
-def _listed(results: Path) -> Mapping[str, ListedRun]:
-    """The runs that a plan lists, by folder; none if the file is damaged."""
+def _listing(results: Path) -> Listing:
+    """What a results folder lists; nothing if the file is damaged."""
     with suppress(ResultsError):
-        return {run.folder: run for run in listed_runs(results)}
-    return {}
-
-
-def _references(results: Path) -> tuple[str, ...] | None:
-    """The reference policies that a plan lists, by folder; `None` if that is not known."""
-    with suppress(ResultsError):
-        return listed_references(results)
-    return None
+        return read_listing(results)
+    return Listing()
 
 
 def _state(folder: Path) -> str:
