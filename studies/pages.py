@@ -70,11 +70,19 @@ SECTIONS = {  # the generated parts of each study's page
     "demonstrations": ("variations", "variants"),
     "generated_tasks": ("held-out",),
     "intent": (*BY_TASK, "program-bc-few", "object-networks-human"),
-    "modern_baselines": ("sequence-learners", "sequence-learners-hundred", "iq-learn"),
+    "modern_baselines": (
+        *("sequence-learners", "sequence-learners-held-out", "sequence-learners-longer"),
+        *("sequence-learners-hundred", "iq-learn"),
+    ),
     "objects": ("baseline", "gaps", "object-bc-ablations-human", "leaderboard", "others"),
 }
 BESIDE = {  # plans whose methods are compared with methods of other plans, as {plan: method}
     "sequence-learners": {"bc-human": "BC (ST)"},
+    "sequence-learners-held-out": {"held-out": "BC (ST)"},
+    "sequence-learners-longer": {
+        "sequence-learners": "Diffusion policy (ST)",
+        "bc-human": "BC (ST)",
+    },
     "sequence-learners-hundred": {},
     "iq-learn": {"adversarial-human": "GAIL (ST)", "bc-human": "BC (ST)"},
     "program-bc-few": {"program-bc-held-out": "program-bc (ST)"},
