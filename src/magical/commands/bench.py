@@ -11,7 +11,7 @@ the measured time includes resetting episodes.
 import argparse
 import time
 from collections.abc import Callable, Iterable
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from dataclasses import asdict
 from typing import Any
 
@@ -101,18 +101,12 @@ def measure(
 
     Returns plain data for JSON.
     """
-    from magical.envs.env import MagicalEnv
-    from magical.envs.vector import MagicalVectorEnv
     from magical.physics import Simulation
 
     def make(observation: str | None = None) -> Any:
-        env: Any
-        if kind == "env":
-            chosen = observation or env_id.preset
-            env = MagicalEnv(env_id.task, env_id.variant, observation=chosen)
-        else:
-            env = MagicalVectorEnv([env_id] * num_envs, workers=workers, observation=observation)
-        stack.callback(env.close)
+        env = stack.enter_context(
+            closing(_make(env_id, kind, num_envs, workers, observation or env_id.preset))
+        )
         env.reset(seed=seed)
         return env
 
@@ -146,6 +140,17 @@ def measure(
         "physics_steps_per_second": bare.rate,
         "frames_per_second": rate * make_spec(env_id.preset, env_id.task_spec).num_images,
     }
+
+
+def _make(
+    env_id: EnvId, kind: str, num_envs: int, workers: int | None, observation: str | None
+) -> Any:
+    from magical.envs.env import MagicalEnv
+    from magical.envs.vector import MagicalVectorEnv
+
+    if kind == "env":
+        return MagicalEnv(env_id.task, env_id.variant, observation=observation)
+    return MagicalVectorEnv([env_id] * num_envs, workers=workers, observation=observation)
 
 
 class _Turns:
