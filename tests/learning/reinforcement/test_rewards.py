@@ -111,9 +111,5 @@ def test_a_symptom_that_lasts_is_warned_of(
     assert again.warning(metrics) == {}  # the count restarts
 
 
-def test_metrics_that_are_not_finite_are_warned_of_at_once() -> None:
-    assert Monitor().warning({"reward": float("nan")}) == {"warning": "not finite"}
-
-
 def test_the_score_is_the_mean_over_tasks() -> None:
     assert mean_by_task([(0, 1.0), (0, 1.0), (0, 1.0), (1, 0.0)]) == 0.5

@@ -1,6 +1,5 @@
 """Metrics logged in addition to the losses: recent scores, warnings of a collapse, durations."""
 
-import math
 import time
 from collections import deque
 from collections.abc import Collection, Iterator, Mapping
@@ -59,9 +58,6 @@ class Monitor:
         counts = {name: self._counts.get(name, 0) + 1 for name, on in symptoms.items() if on}
         self._counts = counts
         found = [f"{name} for {n} updates" for name, n in counts.items() if n >= COLLAPSE_UPDATES]
-        numbers = [value for value in metrics.values() if not isinstance(value, str)]
-        if not all(map(math.isfinite, numbers)):
-            found.insert(0, "not finite")
         return {"warning": ", ".join(found)} if found else {}
 
     def state_dict(self) -> StateDict:
