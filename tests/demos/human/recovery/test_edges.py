@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from magical.demos.human.recovery.edge_search import MIXED
 from magical.demos.human.recovery.edges import EdgeFinder, Edges
+from magical.errors import RenderError
 from magical.render import render_frame
 from magical.scene import Block, Colour, Pose, Poses, Scene, Shape, View
 from magical.scene.geometry import block_outline
@@ -131,3 +132,14 @@ def test_wanted_bodies_alone_are_found() -> None:
     star = finder.find(poses.bodies, labels, 1.0, wanted)
     assert set(star.anchor.tolist()) == {6}
     assert len(star.margin) == (everything.anchor == 6).sum()
+
+
+@pytest.mark.parametrize(
+    "bodies", [np.full((5, 3), np.nan), np.full((5, 3), 1e9), np.zeros((6, 3))]
+)
+def test_poses_and_frames_that_do_not_fit(bodies: NDArray[np.float64]) -> None:
+    finder = EdgeFinder(Scene(Pose(0.0, 0.0, 0.0)), View.EGO)
+    with pytest.raises(RenderError, match="expected 5 finite poses"):
+        finder.find(bodies, np.zeros((SIZE, SIZE), np.uint8), 1.0, np.ones(5, np.bool_))
+    with pytest.raises(RenderError, match="expected a frame 384 across"):
+        finder.label(np.zeros((96, 96, 3), np.uint8))

@@ -24,11 +24,13 @@ from magical.demos.human.recovery.edge_search import (
     Near,
     compiled_search,
 )
-from magical.render.display import DisplayList, display_list
+from magical.errors import RenderError
+from magical.render.display import FURTHEST, DisplayList, display_list
 from magical.render.frame import ROBOT_HEIGHT, VIEW_WIDTH
 from magical.render.palette import OUTSIDE, WHITE, lanes
 from magical.render.polygons import Floats
 from magical.scene.constants import RAW_FRAME_SIZE as SIZE
+from magical.scene.poses import FIRST_BLOCK
 from magical.scene.scene import Scene
 from magical.scene.vocabulary import View
 
@@ -60,6 +62,7 @@ class EdgeFinder:
 
     def __init__(self, scene: Scene, view: View) -> None:
         self._is_ego = view == View.EGO
+        self._bodies = FIRST_BLOCK + len(scene.blocks)
         self._palette, self._layers = _layers(display_list(scene))
 
     def label(self, frame: NDArray[np.uint8]) -> Labels:
@@ -71,7 +74,12 @@ class EdgeFinder:
         Returns:
             (384, 384) uint8, lowest row first: numbers of the scene's colours, and
             `edge_search.MIXED` for any other colour, such as in antialiased lines.
+
+        Raises:
+            RenderError: the frame has another shape.
         """
+        if frame.shape != (SIZE, SIZE, 3):
+            raise RenderError(f"expected a frame {SIZE} across, found {frame.shape}")
         packed = frame[::-1].astype(np.int32) @ np.array([1, 1 << 8, 1 << 16], np.int32)
         numbers = np.searchsorted(self._palette, packed)
         known = self._palette.take(numbers, mode="clip") == packed
@@ -87,7 +95,12 @@ class EdgeFinder:
             labels: a frame's labels, from `label`.
             band: largest distance in pixels.
             wanted: (5 + blocks,), true for the bodies whose edges matter.
+
+        Raises:
+            RenderError: the poses are not one for each body, or not finite and within `FURTHEST`.
         """
+        if bodies.shape != (self._bodies, 3) or not np.abs(bodies).max() <= FURTHEST:
+            raise RenderError(f"expected {self._bodies} finite poses within {FURTHEST:g} units")
         near, numbers, margins = _working_memory()
         placement = FramePlacement(
             frames=np.empty((len(bodies) + 1, 4)),
