@@ -51,7 +51,7 @@ def register_all() -> None:
     for name, preset in product(published, (None, *PRESETS)):
         for variant in TASKS[name].variants:
             env_id = EnvId(name, variant, preset)
-            kwargs = {**env_spec(env_id).kwargs, "new_id": str(env_id)}
+            kwargs = {**gym.registry[env_id].kwargs, "new_id": str(env_id)}
             old_id = env_id.removeprefix(f"{NAMESPACE}/")
             _add(_spec(old_id, PUBLISHED_ID, PUBLISHED_ID, kwargs))
 

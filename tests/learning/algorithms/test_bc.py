@@ -104,6 +104,7 @@ def test_the_learning_rate_is_constant_or_annealed_to_0(demos: Path) -> None:
     for anneal, expected in ((False, [1e-3, 1e-3, 1e-3]), (True, [1e-3, 5e-4, 0.0])):
         config = tiny(demos, batches=10, anneal=anneal)
         assert [config.learning_rate_at(n) for n in (0, 5, 10)] == pytest.approx(expected)
+    assert not BCConfig.preset("paper", tasks=("FindDupe",), demos="d").cloning.anneal
 
 
 def test_the_optimiser_gets_the_learning_rate_of_the_batch(demos: Path, tmp_path: Path) -> None:
