@@ -18,7 +18,7 @@ from functools import cache
 from importlib.machinery import PathFinder
 from operator import attrgetter
 from pathlib import Path
-from types import MappingProxyType, ModuleType
+from types import ModuleType
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from magical.errors import PluginError, UnknownNameError
@@ -85,26 +85,24 @@ def _files(package: str) -> Mapping[str, str]:
     """The names of the objects in a package, and those of their files."""
     path = importlib.import_module(package).__path__
     files = (entry.name for entry in pkgutil.iter_modules(path))
-    return MappingProxyType(
-        {file.replace("_", "-"): file for file in files if not file.startswith("_")}
-    )
+    return {file.replace("_", "-"): file for file in files if not file.startswith("_")}
 
 
 @cache
 def plugins(group: str) -> "Mapping[str, list[EntryPoint]]":
     """What other distributions offer in a group of entry points, by name; none is imported."""
     if not _any_offered():
-        return MappingProxyType({})
+        return {}
     from importlib.metadata import entry_points  # takes tens of milliseconds and is seldom needed
 
-    return MappingProxyType(group_by(entry_points(group=group), attrgetter("name")))
+    return group_by(entry_points(group=group), attrgetter("name"))
 
 
 @cache
 def distributions() -> Mapping[str, str]:
     """Names and versions of the installed distributions with entry points for this package."""
     if not _any_offered():
-        return MappingProxyType({})
+        return {}
     from importlib import metadata
 
     offer = [
@@ -112,7 +110,7 @@ def distributions() -> Mapping[str, str]:
         for found in metadata.distributions()
         if any(entry.group.startswith("magical.") for entry in found.entry_points)
     ]
-    return MappingProxyType({found.name: found.version for found in offer})
+    return {found.name: found.version for found in offer}
 
 
 def _any_offered() -> bool:

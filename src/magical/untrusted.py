@@ -1,4 +1,4 @@
-"""Data from outside, checked once, where it enters: the only reader of JSON and TOML.
+"""Data from outside, checked once, where it enters: reads JSON and TOML as records.
 
 A file or a message may hold anything: binary data, numbers of a million digits, data nested so
 deeply that hashing, comparing or printing it overflows the stack. The functions here turn it into a

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
 
 from magical.envs import EnvId
 from magical.evaluation.intervals import CONFIDENCE, Interval
@@ -48,7 +47,7 @@ class Claim:
 
 
 def _claim(text: str, better: str, worse: str) -> Claim:
-    return Claim(text, MappingProxyType({better: 1.0, worse: -1.0}))
+    return Claim(text, {better: 1.0, worse: -1.0})
 
 
 CLAIMS = (
@@ -57,7 +56,7 @@ CLAIMS = (
     _claim("translation and rotation help", BC, NO_TRANS_ROT),
     Claim(
         "translation and rotation matter more than the other augmentations",
-        MappingProxyType({BC: 1.0, NO_AUG: 1.0, NO_TRANS_ROT: -2.0}),
+        {BC: 1.0, NO_AUG: 1.0, NO_TRANS_ROT: -2.0},
     ),
     _claim("the egocentric view is better than the allocentric one, for BC", BC, ALLO),
     _claim("multi-task training helps BC", MULTI, BC),
@@ -118,7 +117,7 @@ VARIATIONS = (
     ),
     Claim(
         "augmentation, with the published code's settings rather than those of `quick`",
-        MappingProxyType({f"{BC}, {CODE}": 1.0, f"{NO_AUG}, {CODE}": -1.0, BC: -1.0, NO_AUG: 1.0}),
+        {f"{BC}, {CODE}": 1.0, f"{NO_AUG}, {CODE}": -1.0, BC: -1.0, NO_AUG: 1.0},
     ),
     _claim(
         "how the published code scales pixels and initialises the last layer",

@@ -255,8 +255,9 @@ def test_wrong_scores_are_refused_with_what_was_expected(
 
 def test_wrong_words_and_confidences_are_named() -> None:
     runs = [rollouts(IDS[0], 0.5), rollouts(IDS[0], 1.0)]
-    with pytest.raises(ValueError, match="confidence: expected more than 0"):
-        stats.mean([[0.5], [0.6]], 95)
+    for scores in ([[0.5], [0.6]], [[0.5]]):
+        with pytest.raises(ValueError, match="confidence: expected more than 0"):
+            stats.mean(scores, 95)
     with pytest.raises(ValueError, match="confidence: expected more than 0"):
         rollout_mean([0.5, 0.6], 95)
     with pytest.raises(UnknownNameError, match="one of: score, published_code_score"):

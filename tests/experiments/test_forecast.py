@@ -14,11 +14,13 @@ ROLLOUT_STEPS = 100 * 6 * 80  # MoveToCorner: rollouts, variants, horizon
 
 @pytest.fixture(autouse=True)
 def measured(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """The networks whose speed is asked for; all are equally fast."""
+    """The networks, and what they observe, whose speed is asked for; all are equally fast."""
     networks: list[str] = []
 
-    def speeds(network: str, *, threads: tuple[int, ...], **options: Any) -> dict[Compute, float]:
-        networks.append(network)
+    def speeds(
+        network: str, *, threads: tuple[int, ...], observation: str, **options: Any
+    ) -> dict[Compute, float]:
+        networks.append(f"{network} {observation}")
         return {
             Compute("cpu", precision, threads[0]): SPEED for precision in ("float32", "bfloat16")
         }
@@ -63,7 +65,12 @@ def test_algorithms_with_ppo(algorithm: str, more: int) -> None:
 
 @pytest.mark.parametrize(
     ("algorithm", "preset", "network"),
-    [("act", "quick", "narrow"), ("bc", "paper", "paper"), ("ppo", "paper", "paper")],
+    [
+        ("act", "quick", "narrow LoRes4E"),
+        ("bc", "paper", "paper LoRes4E"),
+        ("ppo", "paper", "paper LoRes4E"),
+        ("ppo", "states", "paper state"),
+    ],
 )
 def test_every_learner_is_timed_with_its_own_network(
     measured: list[str], algorithm: str, preset: str, network: str

@@ -98,8 +98,9 @@ def test_frames_are_resized_to_what_the_encoder_takes() -> None:
     module, encoder = features_of(FrozenEncoder(Encoder, MEAN, (1.0, 1.0, 1.0), size=32))
     levels = torch.rand(2, 6)
     module(levels[:, :, None, None].expand(2, 6, 96, 96))
-    (frames,) = encoder.seen
-    assert frames.shape == (4, 3, 32, 32)
+    module(torch.zeros(2, 6, 96, 96, dtype=torch.bfloat16))
+    frames, from_bfloat16 = encoder.seen
+    assert from_bfloat16.shape == frames.shape == (4, 3, 32, 32)
     expected = levels.view(4, 3) - torch.tensor(MEAN)
     assert torch.allclose(frames, expected[:, :, None, None].expand_as(frames), atol=1e-5)
 

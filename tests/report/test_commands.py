@@ -55,6 +55,12 @@ def test_the_last_line_is_json(
     assert low < value < high
 
 
+def test_a_comparison_takes_no_options_of_the_page(capsys: pytest.CaptureFixture[str]) -> None:
+    for options in (["--title", "T"], ["--published", "BC (ST)"]):
+        assert cli.main(["report", "a", "--compare", "x", "y", *options]) == 2
+        assert "--compare excludes --title and --published" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     "argv",
     [

@@ -66,5 +66,7 @@ def test_scenes_that_do_not_fit() -> None:
     with pytest.raises(InvalidSceneError, match="expected a duplicate"):
         TASK.validate(replace(DEMO, blocks=(*DEMO.blocks[:-2], DEMO.blocks[-1])))
     outside = replace(DEMO.blocks[-1], pose=Pose(0.2, 0.0, 0.0))
-    with pytest.raises(InvalidSceneError, match="inside the region"):
-        TASK.validate(replace(DEMO, blocks=(*DEMO.blocks[:-1], outside)))
+    inside = replace(DEMO.blocks[0], pose=Pose(-0.57, -0.72, 0.0))
+    for blocks in (*DEMO.blocks[:-1], outside), (inside, *DEMO.blocks[1:]):
+        with pytest.raises(InvalidSceneError, match="alone inside the region, found blocks"):
+            TASK.validate(replace(DEMO, blocks=blocks))

@@ -17,6 +17,7 @@ from magical.web.messages import (
     HandBack,
     Keep,
     Keys,
+    ListQuery,
     Pause,
     Restart,
     Show,
@@ -112,6 +113,12 @@ def malformed(rng: random.Random) -> str:
     if choice == 3:
         return json.dumps(rng.choice([[], 3, "x", None, {"type": rng.random()}, {"keys": text}]))
     return text[:-1] + f', "{rng.choice(string.ascii_letters)}": {rng.randrange(10**30)}}}'
+
+
+def test_lists_are_of_any_task_that_can_be_looked_up() -> None:
+    assert ListQuery("rollouts", "Generated0004", 0).task == "Generated0004"
+    with pytest.raises(ValueError, match="found 'MoveToMoon'"):
+        ListQuery("rollouts", "MoveToMoon", 0)
 
 
 def test_five_thousand_malformed_messages_are_refused() -> None:

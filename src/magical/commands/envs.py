@@ -23,7 +23,7 @@ def run(args: argparse.Namespace) -> int:
     print()
     print("environment ids: magical/<task>-<variant>[-<preset>]-v0")
     print(f"presets: {' '.join(PRESETS)}")
-    print(f"{len(all_env_ids())} environments, {len(ids)} ids with presets")
+    print(f"{len(all_env_ids())} environments, {len(ids)} ids, with and without presets")
     tasks = {
         task.name: {
             "horizon": task.horizon,

@@ -1,7 +1,6 @@
 """Score the scripted experts.
 
-`magical expert evaluate` is `magical evaluate expert` with the experts' own options, and for all
-tasks by default.
+`magical expert evaluate` is `magical evaluate expert` with the experts' own options.
 """
 
 import argparse

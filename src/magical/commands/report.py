@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from magical.report.scores.tables import TextTable
 
 HELP = "make a page of tables from evaluated runs"
+TITLE = "MAGICAL: results"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -36,9 +37,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "methods' names)"
     )
     add_several(parser, "--published", meaning, "METHOD")
-    parser.add_argument(
-        "--title", default="MAGICAL: results", help="title of the page (default: %(default)s)"
-    )
+    parser.add_argument("--title", help=f"title of the page (default: {TITLE})")
     add_out(parser, "file to write the page to, or the tables in another --format", "FILE")
     parser.add_argument(
         "--format",
@@ -72,6 +71,9 @@ def run(args: argparse.Namespace) -> int:
     kind = args.format or format_of(args.out) if args.out else None
     if args.compare and kind not in (None, "html"):
         log("error: --compare writes HTML only; use --out FILE.html")
+        return USAGE
+    if args.compare and (args.title or args.published is not None):
+        log("error: --compare excludes --title and --published")
         return USAGE
     if args.clips and (args.compare or kind != "html"):
         log("error: --clips needs a page (--out FILE.html), and excludes --compare")
@@ -123,7 +125,7 @@ def _tabulate(args: argparse.Namespace, found: "Found", kind: str | None) -> int
 
         notes = write_page(
             args.out,
-            args.title,
+            args.title or TITLE,
             found,
             published,
             load_policy=lambda result: policy_of(result.folder, result.entry, result.run),

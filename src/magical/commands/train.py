@@ -1,6 +1,7 @@
 """Train a policy with one of the algorithms, each of which has its own options.
 
-A run is kept in a folder: configuration, versions, demonstrations, metrics, two checkpoints.
+A run is kept in a folder: configuration, versions, names and SHA-256 sums of the demonstrations,
+metrics, two checkpoints.
 """
 
 import argparse

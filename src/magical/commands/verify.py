@@ -8,6 +8,7 @@ environment, are compared instead.
 """
 
 import argparse
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -89,7 +90,8 @@ def _verdict(found: "Verification") -> str:
             "another machine or other versions"
         )
     value, low, high = found.mean_changes()[0]
-    change = f"the mean score changed by {value:+.3f} ({low:+.3f} to {high:+.3f})"
+    bounds = "" if math.isnan(low) else f" ({low:+.3f} to {high:+.3f})"
+    change = f"the mean score changed by {value:+.3f}{bounds}"
     elsewhere = "the entry was evaluated on another machine or with other versions"
     if found.confirmed:
         return (

@@ -4,7 +4,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
-from types import MappingProxyType
 
 import numpy as np
 
@@ -15,18 +14,16 @@ from magical.physics import Simulation
 
 # Mean scores (by the published code's rule) of 25 human demonstrations per task, replayed in the
 # published implementation itself: unchanged, and with the robot's initial position moved by 1e-9.
-PUBLISHED_REPLAY: Mapping[str, tuple[float, float]] = MappingProxyType(
-    {
-        "MoveToCorner": (1.00, 0.96),
-        "MoveToRegion": (1.00, 1.00),
-        "MatchRegions": (0.86, 0.54),
-        "MakeLine": (0.46, 0.30),
-        "FindDupe": (1.00, 1.00),
-        "FixColour": (1.00, 1.00),
-        "ClusterColour": (0.12, 0.10),
-        "ClusterShape": (0.30, 0.28),
-    }
-)
+PUBLISHED_REPLAY: Mapping[str, tuple[float, float]] = {
+    "MoveToCorner": (1.00, 0.96),
+    "MoveToRegion": (1.00, 1.00),
+    "MatchRegions": (0.86, 0.54),
+    "MakeLine": (0.46, 0.30),
+    "FindDupe": (1.00, 1.00),
+    "FixColour": (1.00, 1.00),
+    "ClusterColour": (0.12, 0.10),
+    "ClusterShape": (0.30, 0.28),
+}
 TOLERANCE = 1e-6  # on scores, which other programs may have rounded to single precision
 
 

@@ -43,6 +43,7 @@ def t_interval(
     Returns:
         The interval with Welch's degrees of freedom; its ends are NaN if a stratum has one run.
     """
+    _check_confidence(confidence)
     freedom = [len(stratum) - 1.0 for stratum in strata]
     if not all(freedom):
         return Interval(value, math.nan, math.nan)

@@ -10,7 +10,6 @@ import math
 from collections.abc import Mapping
 from functools import cache
 from importlib.resources import files
-from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -29,14 +28,10 @@ PublishedTable = Mapping[tuple[str, str, str], Spread]  # (task, method, short v
 def published_table() -> PublishedTable:
     """All 660 entries: (task, method, short variant) -> mean and standard deviation."""
     text = files("magical.evaluation").joinpath("data/published-scores.csv").read_text("utf-8")
-    return MappingProxyType(
-        {
-            (row["task"], row["method"], row["variant"]): Spread(
-                float(row["mean"]), float(row["std"])
-            )
-            for row in csv.DictReader(text.splitlines())
-        }
-    )
+    return {
+        (row["task"], row["method"], row["variant"]): Spread(float(row["mean"]), float(row["std"]))
+        for row in csv.DictReader(text.splitlines())
+    }
 
 
 def published_methods() -> tuple[str, ...]:

@@ -19,7 +19,7 @@ from magical.learning.config import DemonstrationSettings, EncoderSettings
 from magical.runs.plan import in_words
 
 HEADER = ("method", "tasks", "seed", "time", "state")
-Way = tuple[str, str, str, int]  # network, device, precision, threads: what speed depends on
+Way = tuple[str, str, str, str, int]  # network, observation, device, precision, threads
 ROUNDS = 2  # timed batches for each network
 FORWARD = 1 / 3  # time of a forward pass / that of a forward and backward pass
 
@@ -112,7 +112,7 @@ def _estimate(run: PlannedRun, speed: float) -> float:
         per_sample, per_action = config.seconds_each
         return samples * per_sample + steps * (per_action + SECONDS_PER_STEP)
     cloning = config.part(DemonstrationSettings) and not config.environment_steps
-    prepared = samples if cloning else 0
+    prepared = samples if cloning and not config.observes_vectors else 0
     learning = (samples + FORWARD * steps) / speed + prepared * SECONDS_PER_PREPARED_SAMPLE
     return learning + steps * SECONDS_PER_STEP
 
@@ -121,11 +121,12 @@ def _way(config: Config) -> Way:
     from magical.learning.running.devices import choose_compute, choose_device
 
     device = choose_device(config.device)
-    compute = choose_compute(device, config.network_precision, config.threads)
+    threads = config.threads or int(config.observes_vectors)
+    compute = choose_compute(device, config.network_precision, threads)
     threads = compute.threads if device == "cpu" else 0
     networks = config.part(EncoderSettings)
     network = networks.network if networks else "paper"
-    return network, device, compute.precision, threads
+    return network, config.observation, device, compute.precision, threads
 
 
 def _measure(ways: set[Way]) -> dict[Way, float]:
@@ -133,12 +134,17 @@ def _measure(ways: set[Way]) -> dict[Way, float]:
     from magical.learning.running.speed import training_speeds
 
     found: dict[Way, float] = {}
-    for network, device, threads in {(network, device, n) for network, device, _, n in ways}:
+    for network, observation, device, threads in {(*way[:3], way[4]) for way in ways}:
         # For one thread, processor time is measured: other load on the machine does not matter.
         clock = time.process_time if threads == 1 else time.perf_counter
         speeds = training_speeds(
-            network, device=device, rounds=ROUNDS, threads=(threads,), clock=clock
+            network,
+            device=device,
+            rounds=ROUNDS,
+            threads=(threads,),
+            clock=clock,
+            observation=observation,
         )
         for compute, speed in speeds.items():
-            found[network, device, compute.precision, threads] = speed
+            found[network, observation, device, compute.precision, threads] = speed
     return found

@@ -81,7 +81,8 @@ class FrameFeatures(nn.Module):
     def forward(self, images: Tensor) -> Tensor:
         """Return the features."""
         (encoder,) = self._encoder
-        frames = images.reshape(-1, CHANNELS, *images.shape[2:])  # (B * frames, 3, H, W)
+        # Float32: no resizing on CPUs in bfloat16.
+        frames = images.float().reshape(-1, CHANNELS, *images.shape[2:])  # (B * frames, 3, H, W)
         if self._size is not None and frames.shape[2:] != (self._size, self._size):
             frames = functional.interpolate(frames, self._size, mode="bicubic", antialias=True)
         features = encoder((frames - self.mean) / self.std)  # (B * frames, F, ...)

@@ -1,4 +1,4 @@
-"""Tables, figures and pages, made from files alone.
+"""Tables, figures and pages, made from files; only animations also run policies.
 
 - `found`: evaluated runs in folders, which scores are missing, how each run was made
 - `scores`: tables, aggregates with intervals, differences from the published rows

@@ -1,7 +1,6 @@
 """What an entry may have learned from: the terms of `learned_from` in its details."""
 
 from collections.abc import Iterable, Mapping
-from types import MappingProxyType
 from typing import Any
 
 from magical.errors import UnknownNameError
@@ -23,26 +22,27 @@ LEARNED_FROM = "learned_from"
 NUM_DEMOS = "num_demos"  # demonstrations of each task that a policy learned from
 PRETRAINED_ON = "pretrained_on"  # the tasks that a network was pre-trained on; also in `run.json`
 
-SOURCES: Mapping[str, str] = MappingProxyType(
-    {
-        DEMONSTRATIONS: "demonstrations of the Demo variant",
-        RENDERED_STATES: "stored Demo states rendered with other colours, shapes or walls",
-        SIMULATOR: "the simulator outside Demo, without scores, or pre-training on it",
-        INTERACTION: "episodes in the Demo variant, without their scores",
-        SCORE: "scores of episodes in the Demo variant",
-        EXPERT_LABELS: "an expert asked for actions in states that the learner visits",
-        TEST_VARIANTS: "test variants, seen before the final evaluation",
-        EXTRA_DATA: "data from elsewhere, such as a pre-trained network",
-        OBJECT_PARSER: "a parser made for the known palette, or fitted on rendered scenes",
-        BENCHMARK_PRIOR: "features or penalties chosen by those who know the tasks, or a part "
-        "fitted on scenes of test variants",
-    }
-)
+SOURCES: Mapping[str, str] = {
+    DEMONSTRATIONS: "demonstrations of the Demo variant",
+    RENDERED_STATES: "stored Demo states rendered with other colours, shapes or walls",
+    SIMULATOR: "the simulator outside Demo, without scores, or pre-training on it",
+    INTERACTION: "episodes in the Demo variant, without their scores",
+    SCORE: "scores of episodes in the Demo variant",
+    EXPERT_LABELS: "an expert asked for actions in states that the learner visits",
+    TEST_VARIANTS: "test variants, seen before the final evaluation",
+    EXTRA_DATA: "data from elsewhere, such as a pre-trained network",
+    OBJECT_PARSER: "a parser made for the known palette, or fitted on rendered scenes",
+    BENCHMARK_PRIOR: "features or penalties chosen by those who know the tasks, or a part "
+    "fitted on scenes of test variants",
+}
 
 # Classes of what learns from Demo demonstrations: each may also use what those before it may.
-CLASSES: Mapping[str, str] = MappingProxyType(
-    {"P": DEMONSTRATIONS, "R": RENDERED_STATES, "X": SIMULATOR, "B": BENCHMARK_PRIOR}
-)
+CLASSES: Mapping[str, str] = {
+    "P": DEMONSTRATIONS,
+    "R": RENDERED_STATES,
+    "X": SIMULATOR,
+    "B": BENCHMARK_PRIOR,
+}
 
 
 def parse_source(name: str) -> str:

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from enum import Flag, auto
-from types import MappingProxyType
 
 from magical.errors import UnknownNameError
 
@@ -21,16 +20,14 @@ class Axis(Flag):
     DYNAMICS = auto()
 
 
-CHANGES: Mapping[Axis, str] = MappingProxyType(
-    {
-        Axis.JITTER: "small changes of poses and region sizes",
-        Axis.LAYOUT: "poses anywhere in the workspace, region sizes in their whole range",
-        Axis.COLOUR: "colours of blocks and regions",
-        Axis.SHAPE: "shapes of blocks",
-        Axis.COUNT: "number of blocks; only together with layout, colour and shape",
-        Axis.DYNAMICS: "friction and motor forces",  # docs/specification.md, section 5
-    }
-)
+CHANGES: Mapping[Axis, str] = {
+    Axis.JITTER: "small changes of poses and region sizes",
+    Axis.LAYOUT: "poses anywhere in the workspace, region sizes in their whole range",
+    Axis.COLOUR: "colours of blocks and regions",
+    Axis.SHAPE: "shapes of blocks",
+    Axis.COUNT: "number of blocks; only together with layout, colour and shape",
+    Axis.DYNAMICS: "friction and motor forces",  # docs/specification.md, section 5
+}
 
 EVERYTHING = ~Axis(0)
 DEMO = "Demo"
@@ -38,18 +35,16 @@ TEST_ALL = "TestAll"
 
 # By the names used in environment ids. `TestAll` has the axes for a task that supports all of them;
 # see `Task.axes_of` for other tasks.
-VARIANTS: Mapping[str, Axis] = MappingProxyType(
-    {
-        DEMO: Axis(0),
-        "TestJitter": Axis.JITTER,
-        "TestLayout": Axis.LAYOUT,
-        "TestColour": Axis.COLOUR,
-        "TestShape": Axis.SHAPE,
-        "TestCountPlus": Axis.LAYOUT | Axis.COLOUR | Axis.SHAPE | Axis.COUNT,
-        "TestDynamics": Axis.DYNAMICS,
-        TEST_ALL: EVERYTHING & ~Axis.JITTER,
-    }
-)
+VARIANTS: Mapping[str, Axis] = {
+    DEMO: Axis(0),
+    "TestJitter": Axis.JITTER,
+    "TestLayout": Axis.LAYOUT,
+    "TestColour": Axis.COLOUR,
+    "TestShape": Axis.SHAPE,
+    "TestCountPlus": Axis.LAYOUT | Axis.COLOUR | Axis.SHAPE | Axis.COUNT,
+    "TestDynamics": Axis.DYNAMICS,
+    TEST_ALL: EVERYTHING & ~Axis.JITTER,
+}
 
 
 def short_variant(variant: str) -> str:

@@ -103,8 +103,13 @@ def validate(scene: Scene) -> str:
     """The reason why the scene does not fit the task, or an empty string."""
     if len(scene.regions) != 1 or not scene.blocks:
         return "expected 1 goal region and the query as the last block, found fewer; add them"
-    if not scene.regions[0].contains(*scene.blocks[-1].pose[:2]):
-        return "expected the last block (the query) inside the region, found it outside; move it in"
+    (region,), blocks = scene.regions, scene.blocks
+    inside = [i for i, block in enumerate(blocks) if region.contains(*block.pose[:2])]
+    if inside != [len(blocks) - 1]:
+        return (
+            f"expected block {len(blocks) - 1} (the query) alone inside the region, found blocks "
+            f"{inside}; move them"
+        )
     if len(alike(scene)) > 1:
         return ""
     return "expected a duplicate of the last block (the query), found none; add one"

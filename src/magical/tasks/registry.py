@@ -57,7 +57,7 @@ def register_task(task: Task) -> Task:
     Raises:
         InvalidTaskError: another task already has this name.
     """
-    if TASKS.get(task.name, task) is not task:
+    if is_generated(task.name) or _tasks.get(task.name, task) is not task:
         raise InvalidTaskError(
             f"expected a new task name, found {task.name!r}, which is registered already; "
             "choose another"

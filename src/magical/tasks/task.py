@@ -58,8 +58,9 @@ class Task:
     max_regions: int  # over all variants
     mirror_symmetric: bool = True  # whether mirror images of its scenes are scenes of the task
     program: Goal | None = None  # what the task asks for, in the language of goals
-    # The reason why a scene does not fit, or "". A task with a program has no dense reward (NaN) in
-    # scenes for which `magical.tasks.programs.problem` gives a reason.
+    # The reason why a scene does not fit, or "". The dense reward of a program means nothing in
+    # scenes for which `magical.tasks.programs.problem` gives a reason, and is NaN if there is no
+    # such place.
     validate_fn: ValidateFn = _accept
 
     def __post_init__(self) -> None:

@@ -3,7 +3,6 @@
 import re
 import unicodedata
 from collections.abc import Mapping
-from types import MappingProxyType
 from typing import Annotated, Literal, TypeVar
 
 from msgspec import Meta, Struct
@@ -23,9 +22,11 @@ MAX_NAME = 100  # characters of a demonstrator's name
 MAX_FRAMES = 16  # in one answer
 PAGE_LENGTH = 100  # episodes in one answer
 
-PAGE_VIEWS: Mapping[str, tuple[View, ...]] = MappingProxyType(
-    {"allo": (View.ALLO,), "ego": (View.EGO,), "both": (View.EGO, View.ALLO)}
-)
+PAGE_VIEWS: Mapping[str, tuple[View, ...]] = {
+    "allo": (View.ALLO,),
+    "ego": (View.EGO,),
+    "both": (View.EGO, View.ALLO),
+}
 
 ViewName = Literal["allo", "ego", "both"]
 Number = Annotated[int, Meta(ge=0, le=10**9)]
@@ -123,7 +124,7 @@ class ListQuery(Struct, frozen=True):
     skip: Number
 
     def __post_init__(self) -> None:
-        if self.task not in ("", *TASKS):
+        if self.task and self.task not in TASKS:  # generated tasks are, but are not listed
             raise ValueError(f"task: expected one of {', '.join(TASKS)}, found {quoted(self.task)}")
 
 

@@ -60,7 +60,7 @@ class Policies:
             if not folder.is_dir():
                 raise RunFolderError(f"{folder}: expected a folder with runs, found none")
         names = unique_names(folders) if len(folders) > 1 else [""] * len(folders)
-        self._folders = dict(zip(names, folders, strict=True))
+        self._folders = list(zip(names, folders, strict=True))
         self._tasks = (*TASKS, *tasks)
         self._entries = [PolicyEntry(EXPERT_NAME, ())]
         self._load = lru_cache(MAX_LOADED)(lambda folder, _: load_policy(folder.absolute()))
@@ -74,7 +74,7 @@ class Policies:
         """All policies, including runs that were added since; numbers do not change."""
         with self._lock:
             known = {entry.folder for entry in self._entries}
-            for name, root in self._folders.items():
+            for name, root in self._folders:
                 for folder in find_runs(root):
                     if folder not in known:
                         self._entries.append(_entry(name, root, folder))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from magical.demos import Actor, Trajectory
-from magical.errors import TrajectoryError, UnknownNameError
+from magical.errors import InvalidSceneError, TrajectoryError, UnknownNameError
 from magical.scene import Poses
 from magical.tasks import get_task
 
@@ -131,8 +131,11 @@ def test_from_poses_scores_by_both_rules() -> None:
     assert made.published_code_score == task.published_code_score(
         task.demo, Poses.at_rest(task.demo)
     )
-    with pytest.raises(TrajectoryError, match="shape"):
-        Trajectory.from_poses("ClusterColour-Demo-v0", task.demo, [0], poses[0])
+    for wrong in (poses[0], poses[:, :-1], poses[..., None]):
+        with pytest.raises(TrajectoryError, match="shape"):
+            Trajectory.from_poses("ClusterColour-Demo-v0", task.demo, [0], wrong)
+    with pytest.raises(InvalidSceneError, match="FindDupe: expected at most 7 blocks"):
+        Trajectory.from_poses("FindDupe-Demo-v0", task.demo, [0], poses)
 
 
 def test_a_trajectory_is_printed_in_a_line() -> None:

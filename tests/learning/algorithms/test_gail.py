@@ -192,6 +192,13 @@ def test_the_discriminator_is_trained(trajectories: list[Trajectory]) -> None:
     assert float(metrics[21]["discriminator_loss"]) < float(metrics[0]["discriminator_loss"])
 
 
+def test_presets_take_tasks_from_any_iterable() -> None:
+    tasks = ("ClusterColour", "MoveToCorner")
+    for preset, horizon in (("paper", "appendix"), ("published-code", "published")):
+        config = GAILConfig.preset(preset, tasks=iter(tasks), demos="")
+        assert (config.tasks, config.ppo.horizon) == (tasks, horizon)
+
+
 def test_paper_s_rollouts_and_batch_norms() -> None:
     config = GAILConfig.preset("paper", tasks=("MoveToRegion",), demos="")
     norms = [m for m in make_discriminator(config).modules() if isinstance(m, nn.BatchNorm2d)]

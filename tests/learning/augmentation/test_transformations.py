@@ -16,7 +16,7 @@ from magical.errors import DemonstrationsError, InvalidConfigError, UnknownNameE
 from magical.learning import load_policy, train
 from magical.learning.algorithms.bc import BCConfig
 from magical.learning.augmentation.names import SETS
-from magical.learning.augmentation.palette import PERMUTATIONS
+from magical.learning.augmentation.palette import PERMUTATIONS, permute_palette
 from magical.learning.augmentation.transformations import (
     TRANSFORMATIONS,
     StackTransformations,
@@ -93,6 +93,11 @@ def test_palettes_are_permuted_in_whole_stacks(pairs: Any) -> None:
         new = PERMUTATIONS[number][COLOURS.index(colour)]
         before, after = _pixels(plain[YES], colour), _pixels(found[YES], new)
         assert (before != after).sum() < 0.02 * before.sum(), (colour, new)
+
+
+def test_palettes_of_grey_frames_are_refused() -> None:
+    with pytest.raises(InvalidConfigError, match="palette needs RGB frames, found images of 4"):
+        permute_palette(torch.zeros(1, 4, 8, 8, dtype=torch.uint8), np.zeros(1, np.int64))
 
 
 def test_palettes_of_recorded_frames_are_permuted_as_if_rendered(pairs: Any) -> None:

@@ -107,8 +107,9 @@ def test_the_page_explains_its_words_and_says_what_was_run_again(
     assert "expected ranked methods to mark as rerun, found ['old']" in capsys.readouterr().err
 
 
-def test_the_site_may_lie_among_the_entries(entries: Path) -> None:
-    site = entries / "site"
+@pytest.mark.parametrize("folder", ["site", "."])
+def test_the_site_may_lie_among_the_entries(entries: Path, folder: str) -> None:
+    site = entries / folder
     argv = ["leaderboard", str(entries), "--out", str(site)]
     assert cli.main(argv) == 0
     first = (site / "index.html").read_text()

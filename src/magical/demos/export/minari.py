@@ -12,11 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import minari
 import numpy as np
-from minari.data_collector.episode_buffer import EpisodeBuffer
-from minari.namespace import create_namespace, list_local_namespaces
-from minari.storage import get_dataset_path
 
 import magical
 from magical.demos.store.dataset import Dataset
@@ -26,7 +22,15 @@ from magical.envs import EnvId
 from magical.envs.action_spec import DISCRETE, ActionSpaceName, ActionSpec, action_spec
 from magical.envs.registration import env_spec
 from magical.errors import DatasetError, UnknownNameError
+from magical.extras import require
 from magical.observe import PRESETS
+
+require("minari")
+
+import minari  # noqa: E402
+from minari.data_collector.episode_buffer import EpisodeBuffer  # noqa: E402
+from minari.namespace import create_namespace, list_local_namespaces  # noqa: E402
+from minari.storage import get_dataset_path  # noqa: E402
 
 _ROOT = "MINARI_DATASETS_PATH"
 

@@ -122,13 +122,12 @@ class Trajectory:
         env_id: str, scene: Scene, actions: ArrayLike, poses: ArrayLike, **more: Any
     ) -> "Trajectory":
         """A trajectory whose two scores are computed from its final poses."""
-        table = np.asarray(poses, np.float64)
-        if table.ndim != 3 or not len(table):
-            raise TrajectoryError(
-                f"poses: expected shape (T + 1, 5 + blocks, 3), found {table.shape}"
-            )
+        table, shape = np.asarray(poses, np.float64), Poses.at_rest(scene).bodies.shape
+        if table.shape[1:] != shape or not len(table):
+            raise TrajectoryError(f"poses: expected shape (T + 1, *{shape}), found {table.shape}")
         parsed, last = parse_env_id(env_id), Poses(table[-1])
         task = parsed.task_spec
+        task.validate(scene, MAX_NUDGE)
         return Trajectory(
             env_id=parsed,
             scene=scene,

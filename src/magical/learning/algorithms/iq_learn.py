@@ -128,8 +128,12 @@ class IQLearnConfig(InteractionConfig):
 
     @property
     def training_samples(self) -> int:
-        """The transitions of all batches, and a third more for the passes on next observations."""
-        return self.num_updates * self.iq.gradient_steps * self.iq.batch_size * 4 // 3
+        """The transitions of all batches, and the passes on next observations.
+
+        Those are forward passes only, a third of the cost, if there is a target network.
+        """
+        transitions = self.num_updates * self.iq.gradient_steps * self.iq.batch_size
+        return transitions * 4 // 3 if self.iq.target_every else transitions * 2
 
 
 def train(config: IQLearnConfig, run: Run) -> None:

@@ -95,11 +95,10 @@ class ReinforcementConfig(InteractionConfig):
     @classmethod
     def preset(cls, name: str, /, **settings: Any) -> Self:
         """As `Config.preset`, but without a preset's `published` horizon if no task has one."""
-        tasks = settings.get("tasks", ())
-        one_horizon = not have_two_horizons((tasks,) if isinstance(tasks, str) else tasks)
-        if cls.presets.get(name, {}).get("horizon") == PUBLISHED and one_horizon:
-            settings = {"horizon": "appendix", **settings}
-        return super().preset(name, **settings)
+        if "horizon" in settings or cls.presets.get(name, {}).get("horizon") != PUBLISHED:
+            return super().preset(name, **settings)
+        config = super().preset(name, **settings, horizon="appendix")
+        return config.replace(horizon=PUBLISHED) if have_two_horizons(config.tasks) else config
 
     @property
     def training_samples(self) -> int:

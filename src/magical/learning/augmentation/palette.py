@@ -13,6 +13,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from magical.errors import InvalidConfigError
 from magical.render.palette import GREY, GREY_OUTLINE, OUTSIDE, PUPIL, SHADES, WHITE
 from magical.render.palette import permuted as permuted_palette
 from magical.scene.vocabulary import COLOURS
@@ -34,9 +35,16 @@ def permute_palette(images: Tensor, numbers: NDArray[np.int64]) -> Tensor:
 
     Returns:
         The same shape, uint8.
+
+    Raises:
+        InvalidConfigError: images that are not RGB.
     """
     nearest, changes = _tables(images.device)
     batch, channels, height, width = images.shape
+    if channels % 3:
+        raise InvalidConfigError(
+            f"transform: palette needs RGB frames, found images of {channels} channels"
+        )
     frames = images.view(batch, channels // 3, 3, height, width)
     levels = (frames >> DROPPED).int()
     index = (levels[:, :, 0] << 2 * BITS) + (levels[:, :, 1] << BITS) + levels[:, :, 2]

@@ -20,6 +20,7 @@ COLUMNS = 4
 SIZE, HEADING = 3.0, 0.5  # inches: the side of a scene, the height of its heading
 PIXELS = 384
 EXTENT = (-VIEW_HALF, VIEW_HALF, -VIEW_HALF, VIEW_HALF)  # units: left, right, bottom, top
+FORMATS = ("jpg", "pdf", "png", "svg", "webp")
 PLACES = (-BORDER, BORDER, -BORDER, BORDER)  # units: the same for the places
 
 
@@ -40,7 +41,7 @@ def draw_beliefs(beliefs: Mapping[str, Belief], path: Path) -> None:
     rows = -(-len(beliefs) // columns)
     figure = Figure(figsize=(SIZE * columns, (SIZE + HEADING) * rows), layout="constrained")
     kind = path.suffix[1:].lower() or "png"
-    if kind not in figure.canvas.get_supported_filetypes():
+    if kind not in FORMATS:
         raise UnknownNameError(f"{path}: expected the suffix of a picture, such as .png or .svg")
     axes = list(figure.subplots(rows, columns, squeeze=False).flat)
     for axis in axes:

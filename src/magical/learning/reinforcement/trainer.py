@@ -17,7 +17,7 @@ from magical.learning.reinforcement.interaction import InteractionConfig
 from magical.learning.reinforcement.monitoring import Metrics, Monitor
 from magical.learning.reinforcement.rollouts import RolloutEnvs
 from magical.learning.running.checkpoints import StateDict
-from magical.learning.running.devices import choose_device, cpu_threads
+from magical.learning.running.devices import choose_device
 from magical.learning.running.optimizers import load_optimizer, optimizer_state
 from magical.learning.running.run import Run
 
@@ -50,15 +50,14 @@ class InteractionTrainer:
         self.device = choose_device(config.device)
         self.network = network.to(self.device)
         self.optimizer = Adam(self.network.parameters(), learning_rate, fused=True)
-        self.compute = run.compute(self.device, config.network_precision, config.threads)
+        threads = config.threads or int(config.observes_vectors)
+        self.compute = run.compute(self.device, config.network_precision, threads)
         self.monitor = Monitor()
         self._reward = reward
 
     def __enter__(self) -> Self:
         config = self.config
         with ExitStack() as stack:
-            if config.observes_vectors and not config.threads:
-                stack.enter_context(cpu_threads(1))
             self.envs = stack.enter_context(RolloutEnvs(config, self.device, self._reward))
             self.start_or_resume()
             self._stack = stack.pop_all()

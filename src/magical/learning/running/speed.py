@@ -20,6 +20,7 @@ def training_speeds(
     rounds: int = 5,
     threads: Sequence[int] = (),
     clock: Callable[[], float] = time.perf_counter,
+    observation: str = "LoRes4E",
 ) -> dict[Compute, float]:
     """Measure samples per second, forward and backward, for each way to compute on this machine.
 
@@ -27,19 +28,26 @@ def training_speeds(
     other load on the machine affects all alike; the fastest batch of each counts.
 
     Args:
-        network: the name of an architecture, used with batch norm and LoRes4E observations.
+        network: the name of an architecture, used with batch norm.
         batch_size: samples per batch.
         device: `auto`, `cpu` or `cuda`.
         rounds: number of timed batches of each.
         threads: numbers of CPU threads; by default 1 and PyTorch's own.
         clock: the timer; `time.process_time` gives the speed of one thread on an idle machine.
+        observation: what the network observes, in our first task.
 
     Raises:
         DeviceError: `cuda` was requested but is not available.
     """
     chosen = choose_device(device)
     config = BCConfig.preset(
-        "paper", tasks=tuple(TASKS)[:1], demos="", network=network, batch_size=batch_size
+        "paper",
+        tasks=tuple(TASKS)[:1],
+        demos="",
+        network=network,
+        batch_size=batch_size,
+        observation=observation,
+        augment="none",
     )
     policy = make_policy(config).to(chosen)
     counts = sorted(set(threads) or {1, torch.get_num_threads()}) if chosen == "cpu" else [0]

@@ -131,8 +131,8 @@ def _conflicts(result: Result, accepted: Sequence[Result]) -> Iterator[str]:
     entry = result.entry
     if other := same_run(result, accepted):
         yield (
-            f"the same run as {other.folder}, judging by its training_seed or, if an entry states "
-            "none, by its scores: each run counts only once"
+            f"the same run as {other.folder}, judging by its scores or its training_seed: each run "
+            "counts only once"
         )
         return
     # All accepted runs of a method agree, so the first one is enough.

@@ -91,7 +91,7 @@ def make_leaderboard(
     for place in places:
         if not place.is_dir():
             raise ScoresError(f"{place}: expected a folder with entries, found none")
-    accepted, rejected = check_entries(search_results(places, without=site))
+    accepted, rejected = check_entries(search_results(places, without=site and site / ENTRIES))
     methods = {result.entry.method for result in accepted}
     if unknown := sorted(set(rerun) - methods):
         raise UnknownNameError(f"expected ranked methods to mark as rerun, found {unknown}")

@@ -7,7 +7,6 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from operator import attrgetter
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -71,9 +70,7 @@ def write_latex(found: Found, published: Sequence[str], path: Path) -> None:
     write_text(path, head + "\n".join(map(latex, all_tables(found, published))))
 
 
-FORMATS: Mapping[str, Write] = MappingProxyType(
-    {"csv": write_csv, "markdown": write_markdown, "latex": write_latex}
-)
+FORMATS: Mapping[str, Write] = {"csv": write_csv, "markdown": write_markdown, "latex": write_latex}
 _SUFFIXES = {".html": "html", ".csv": "csv", ".md": "markdown", ".tex": "latex"}
 
 
@@ -89,7 +86,9 @@ def markdown(table: TextTable) -> str:
     """A table in Markdown, with its heading and note."""
     rows = [table.header, tuple("---" for _ in table.header), *table.rows]
     lines = [f"| {' | '.join(_escape_markdown(cell) for cell in row)} |" for row in rows]
-    return "\n".join([f"## {_escape_markdown(table.title)}", "", *lines, "", table.note, ""])
+    return "\n".join(
+        [f"## {_escape_markdown(table.title)}", "", *lines, "", _escape_markdown(table.note), ""]
+    )
 
 
 def latex(table: TextTable) -> str:

@@ -2,7 +2,6 @@
 
 import ast
 from collections.abc import Mapping
-from types import MappingProxyType
 
 from magical.errors import InvalidProgramError
 from magical.messages import quoted
@@ -13,17 +12,15 @@ from magical.tasks.programs.goals import Goal
 MAX_TEXT = 5000  # characters
 
 KINDS: tuple[type[Expression], ...] = (selections.Selection, places.Place, Goal)
-VOCABULARY: Mapping[str, type[Expression]] = MappingProxyType(
-    {
-        name: kind
-        for module in (selections, places, goals)
-        for name, kind in vars(module).items()
-        if isinstance(kind, type)
-        and issubclass(kind, KINDS)
-        and kind not in KINDS
-        and not name.startswith("_")
-    }
-)  # every kind of expression by its name
+VOCABULARY: Mapping[str, type[Expression]] = {
+    name: kind
+    for module in (selections, places, goals)
+    for name, kind in vars(module).items()
+    if isinstance(kind, type)
+    and issubclass(kind, KINDS)
+    and kind not in KINDS
+    and not name.startswith("_")
+}  # every kind of expression by its name
 
 
 def parse(text: str) -> Goal:

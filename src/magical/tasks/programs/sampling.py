@@ -5,7 +5,6 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 
 import numpy as np
 
@@ -119,27 +118,19 @@ def _cluster(rng: Rng) -> Goal:
 
 
 # The distribution of programs: families with their weights and scenes.
-DISTRIBUTION: Mapping[str, Family] = MappingProxyType(
-    {
-        "into": Family(3, lambda rng: Each(sample_selection(rng), InRegion()), regions=(1, 1)),
-        "exactly": Family(2, lambda rng: Exactly(sample_selection(rng)), regions=(1, 1)),
-        "own colour": Family(1, lambda rng: Each(OfRegionColour(), InOwnColour()), regions=(2, 2)),
-        "landmark": Family(3, _landmark),
-        "beside": Family(2, _beside),
-        "out": Family(
-            2, _out, regions=(2, 3), encloses=True, outside=(0, 1), horizon=SHORT_HORIZON
-        ),
-        "fix": Family(
-            1, _fix, regions=(2, 3), encloses=True, outside=(0, 2), horizon=SHORT_HORIZON
-        ),
-        "like": Family(3, _like, regions=(1, 1), encloses=True),
-        "swap": Family(2, _swap, regions=(1, 1), encloses=True),
-        "line": Family(
-            1, lambda rng: Lined(AllBut(sample_single(rng, region=False))), outside=LINED
-        ),
-        "clusters": Family(1, _cluster, outside=CLUSTERED, horizon=LONG_HORIZON),
-    }
-)
+DISTRIBUTION: Mapping[str, Family] = {
+    "into": Family(3, lambda rng: Each(sample_selection(rng), InRegion()), regions=(1, 1)),
+    "exactly": Family(2, lambda rng: Exactly(sample_selection(rng)), regions=(1, 1)),
+    "own colour": Family(1, lambda rng: Each(OfRegionColour(), InOwnColour()), regions=(2, 2)),
+    "landmark": Family(3, _landmark),
+    "beside": Family(2, _beside),
+    "out": Family(2, _out, regions=(2, 3), encloses=True, outside=(0, 1), horizon=SHORT_HORIZON),
+    "fix": Family(1, _fix, regions=(2, 3), encloses=True, outside=(0, 2), horizon=SHORT_HORIZON),
+    "like": Family(3, _like, regions=(1, 1), encloses=True),
+    "swap": Family(2, _swap, regions=(1, 1), encloses=True),
+    "line": Family(1, lambda rng: Lined(AllBut(sample_single(rng, region=False))), outside=LINED),
+    "clusters": Family(1, _cluster, outside=CLUSTERED, horizon=LONG_HORIZON),
+}
 
 
 def sample_program(rng: Rng) -> tuple[Family, Goal]:
