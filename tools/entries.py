@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from magical.errors import MagicalError
+from magical.evaluation.entry import ENTRY_FILE
 from magical.files import LOCK, sha256_sum, write_atomically
 from magical.report.found.search import Found, search_results
 from magical.report.leaderboard.checks import check_entries
@@ -77,6 +78,11 @@ def _file_faults(folder: Path, submission: Submission) -> Iterator[str]:
             yield f"{name}: expected the SHA-256 sum {stated}, found {found}"
     for name in sorted(set(_files(folder)) - set(submission.files)):
         yield f"{name}: expected in {SUBMISSION}, or not at all"
+    for run, policy in submission.policies.items():
+        if f"{run}/{ENTRY_FILE}" not in submission.files:
+            yield f"{run}: expected an entry, found none"
+        if policy and policy.rpartition(":")[0] not in submission.files:
+            yield f"{run}: expected the policy in a file of {SUBMISSION}, found {policy}"
 
 
 def _files(folder: Path) -> Iterator[str]:
@@ -90,8 +96,6 @@ def _files(folder: Path) -> Iterator[str]:
 def _protocol_faults(folder: Path, submission: Submission, others: Sequence[Path]) -> Iterator[str]:
     found = search_results([folder, *others])
     ours = {result.folder for result in found.results if folder in result.folder.parents}
-    missing = {folder / run for run in submission.policies} - ours
-    yield from (f"{run.relative_to(folder)}: expected an entry, found none" for run in missing)
     for run in sorted(ours - {folder / run for run in submission.policies}):
         yield f"{run.relative_to(folder)}: expected its policy in {SUBMISSION}"
     _, rejected = check_entries(_ours_last(found, folder))
@@ -141,8 +145,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     everything = sorted(path for path in arguments.entries.iterdir() if path.is_dir())
     chosen = [arguments.entries / name for name in arguments.names] or everything
     if arguments.describe:
-        for folder in chosen:
-            describe(folder, dict(pair.split("=", 1) for pair in arguments.describe))
+        pairs = [pair.partition("=") for pair in arguments.describe]
+        if (
+            len(arguments.names) != 1
+            or not chosen[0].is_dir()
+            or not all(sep for _, sep, _ in pairs)
+        ):
+            parser.error("expected one NAME of a folder, then --describe RUN=POLICY ...")
+        describe(chosen[0], {run: policy for run, _, policy in pairs})
         return 0
     refused = False
     for folder in chosen:

@@ -46,6 +46,14 @@ def leave_the_folder(folder: Path) -> None:
     path.write_text(json.dumps(submission))
 
 
+def act_from_outside(folder: Path) -> None:
+    entries.describe(folder, {"runs/0": "../../examples/third_party_policy.py:SeekColour"})
+
+
+def name_a_run_outside(folder: Path) -> None:
+    entries.describe(folder, {"/tmp/other": ""})
+
+
 def break_the_protocol(folder: Path) -> None:
     path = folder / "runs/0/entry.json"
     path.write_text(path.read_text().replace("1e-09", "0.0"))
@@ -73,6 +81,8 @@ def exaggerate(folder: Path) -> None:
         (change_a_file, f"{SCORES}: expected the SHA-256 sum"),
         (add_a_file, "weights.bin: expected in submission.json, or not at all"),
         (leave_the_folder, "expected a path in the entry's folder"),
+        (act_from_outside, "runs/0: expected the policy in a file of submission.json, found ../"),
+        (name_a_run_outside, "/tmp/other: expected an entry, found none"),
         (break_the_protocol, "runs/0: nudge 0, expected 1e-09"),
         (damage_the_schema, "runs/0: "),
         (exaggerate, "runs/0: not confirmed"),
@@ -95,3 +105,16 @@ def test_an_entry_without_its_description_is_refused(folder: Path) -> None:
 def test_the_accepted_entries_are_accepted(capsys: pytest.CaptureFixture[str]) -> None:
     assert entries.main([]) == 0
     assert capsys.readouterr().out == f"{SUBMITTED}: accepted\n"
+
+
+@pytest.mark.parametrize(
+    "argv",
+    [["--describe", "runs/0=a.py:B"], ["typo", "--describe", "runs/0="], ["--describe", "x"]],
+)
+def test_only_one_entry_is_described_at_a_time(
+    folder: Path, argv: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        entries.main(["--entries", str(folder.parent), *argv])
+    assert "expected one NAME of a folder" in capsys.readouterr().err
+    assert [path.name for path in folder.parent.iterdir()] == [SUBMITTED]
