@@ -14,14 +14,13 @@ import math
 import re
 import struct
 import zipfile
-import zlib
 from typing import IO, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from magical.demos.store.trajectory import VIEWS, Trajectory, stored_env_id
-from magical.errors import DatasetError, MagicalError, TrajectoryError, UnknownNameError
+from magical.errors import DatasetError, TrajectoryError, UnknownNameError
 from magical.messages import printable, quoted
 from magical.scene import Dynamics, Scene
 from magical.scene.actions import PARTS
@@ -63,19 +62,6 @@ _MAX_NPY_HEADER = 256  # bytes; NumPy writes 118
 _END_RECORD = struct.Struct("<4s4H2LH")  # the end of a ZIP archive's directory
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 _ZIP64_LOCATOR = 20  # bytes; if present, before the end record
-
-# What zipfile, zlib, json and the constructors raise for files that are not trajectories.
-_DAMAGED = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, struct.error)
-_MALFORMED = (
-    ArithmeticError,
-    AttributeError,
-    LookupError,
-    MagicalError,
-    OSError,
-    RuntimeError,
-    TypeError,
-    ValueError,
-)
 
 
 def encode(trajectory: Trajectory) -> bytes:
@@ -124,13 +110,11 @@ def decode(raw: bytes) -> Trajectory:
         raise
     except UnknownNameError as error:  # perhaps of a task that is not installed here
         raise DatasetError(printable(str(error), MAX_UNKNOWN)) from error
-    except _DAMAGED as error:
-        raise DatasetError(
-            f"expected an .npz file, found a damaged one: {printable(str(error))}"
-        ) from error
-    except _MALFORMED as error:
+    except Exception as error:  # zipfile, zlib, json and the constructors raise many kinds
         what = printable(f"{type(error).__name__}: {error}")
-        raise DatasetError(f"expected a trajectory, found another file: {what}") from error
+        raise DatasetError(
+            f"expected a trajectory, found a damaged or another file: {what}"
+        ) from error
 
 
 def fingerprint(raw: bytes) -> str:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical.compiled.jit import inlined, merged
+from magical.render.frame import VIEW_WIDTH
 from magical.render.palette import GREY, RGB, SHADES, WHITE
 from magical.scene.constants import FRAME_SIZE
 from magical.scene.vocabulary import COLOURS
@@ -20,7 +21,7 @@ Ints = NDArray[np.int64]
 Pixels = NDArray[np.uint8]
 Grid = NDArray[np.int32]  # (GRID * GRID,)
 
-VIEW_HALF = 1.02  # units: half the side of the allocentric camera's view
+VIEW_HALF = VIEW_WIDTH / 2  # units: half the side of the allocentric camera's view
 PIXEL = 2 * VIEW_HALF / FRAME_SIZE  # units
 
 GRID = FRAME_SIZE + 2

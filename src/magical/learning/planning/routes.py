@@ -60,14 +60,18 @@ class Routes:
         outside = (np.abs(_GRID).max(axis=-1) - limit) / _SPACING
         hindrance = depth.clip(min=0.0).sum(axis=-1) + outside.clip(min=0.0)
         weight = 1.0 + OBSTRUCTED * hindrance.ravel()
-        cells = _nearest(goals)
         lengths = np.append(_LENGTHS * (weight[_STARTS] + weight[_ENDS]) / 2, costs + _SPACING)
-        ends = np.append(_ENDS, cells)
-        graph = csr_array((lengths, ends, np.append(_ROWS, len(ends))), (_CELLS + 1, _CELLS + 1))
-        found, before = dijkstra(graph, indices=_CELLS, return_predecessors=True)
+        ends = np.append(_ENDS, _nearest(goals))
+        # Each goal is a point of its own, with one edge, which leads to the nearest grid point.
+        numbers = np.arange(len(goals))
+        rows = np.append(_ROWS, len(_ENDS) + 1 + numbers)
+        graph = csr_array((lengths, ends, rows), (_CELLS + len(goals),) * 2)
+        found, _, origins = dijkstra(
+            graph, indices=_CELLS + numbers, return_predecessors=True, min_only=True
+        )
         self._lengths = found[:_CELLS].reshape(SIDE, SIDE) - _SPACING
         self._slopes = np.stack(np.gradient(self._lengths, _SPACING), axis=-1)
-        self._goals = _origins(before[:_CELLS], cells, costs)
+        self._goals: Ints = origins[:_CELLS] - _CELLS
 
     def goals(self, points: Floats) -> Ints:
         """The number of the goal that the route from each point (..., 2) leads to."""
@@ -110,14 +114,3 @@ def _nearest(points: Floats) -> Ints:
     at = np.rint((points + WORKSPACE_HALF) / _SPACING).astype(np.intp).clip(0, SIDE - 1)
     numbers: Ints = at[..., 0] * SIDE + at[..., 1]
     return numbers
-
-
-def _origins(before: Ints, cells: Ints, costs: Floats) -> Ints:
-    """The goal from which the search reached each grid point, given the points' predecessors."""
-    origin = np.where(before == _CELLS, np.arange(_CELLS), before)
-    while (origin != origin[origin]).any():
-        origin = origin[origin]
-    numbers = np.zeros(_CELLS, np.intp)
-    order = np.argsort(-costs)  # if several goals are at a point, the cheapest counts
-    numbers[cells[order]] = order
-    return numbers[origin]
