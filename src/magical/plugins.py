@@ -43,14 +43,14 @@ class Registry(Generic[T]):
         group: the group of the entry points, such as `magical.algorithms`.
         package: the package with one file for each built-in object, named after it (with `_` for
             `-`); files whose names begin with `_` are helpers.
-        attribute: the attribute to take from each file; if empty, the module itself.
+        attribute: the attribute to take from each file.
     """
 
     noun: str
     kind: type[T]
     group: str
     package: str
-    attribute: str = ""
+    attribute: str
 
     def names(self) -> list[str]:
         """The built-in names and those of entry points, alphabetically; nothing is imported."""
@@ -65,7 +65,7 @@ class Registry(Generic[T]):
         """
         if name in (files := _files(self.package)):
             module = importlib.import_module(f"{self.package}.{files[name]}")
-            thing = getattr(module, self.attribute) if self.attribute else module
+            thing = getattr(module, self.attribute)
         elif is_plugin(self.group, name):
             thing = load_plugin(self.group, name)
         else:

@@ -25,7 +25,7 @@ from magical.learning.objects.hindsight import ROBOT_TARGET, track
 from magical.learning.objects.parser import ParsedFrames
 from magical.learning.objects.perception import Perception
 from magical.learning.planning.planner import Planner, Situation
-from magical.learning.running.loading import load_policy
+from magical.learning.policy import load_policy
 from magical.scene import NOOP, Poses, State
 from magical.scene.constants import FRAME_SIZE
 from magical.scene.poses import ROBOT

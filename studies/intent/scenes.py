@@ -25,7 +25,7 @@ from magical.evaluation.protocol import NUDGE
 from magical.learning.algorithms.program_bc import ProgramBCConfig, ProgramPolicy, infer_beliefs
 from magical.learning.intent.posterior import Belief
 from magical.learning.objects.data import parse_demonstrations
-from magical.learning.running.loading import load_policy
+from magical.learning.policy import load_policy
 from studies.intent.confidence import decisions
 from studies.intent.oracles import OraclePolicy
 from tools.readme_tables import table

@@ -15,8 +15,7 @@ import torch
 
 from magical.evaluation import environments, evaluate
 from magical.learning.algorithms.object_bc import ObjectPolicy
-from magical.learning.policy import TrainedPolicy
-from magical.learning.running.loading import load_policy
+from magical.learning.policy import TrainedPolicy, load_policy
 
 
 def main() -> None:

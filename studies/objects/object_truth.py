@@ -31,8 +31,7 @@ from magical.learning.objects.components import MAX_REGIONS
 from magical.learning.objects.hindsight import ROBOT_TARGET
 from magical.learning.objects.parser import FAR, MAX_BLOCKS, parse_frames
 from magical.learning.objects.table import ObjectTable, to_table, to_tensor
-from magical.learning.policy import TrainedPolicy, choose_actions
-from magical.learning.running.loading import load_policy
+from magical.learning.policy import TrainedPolicy, choose_actions, load_policy
 from magical.observe.pixels import STACK
 from magical.render import Renderer
 from magical.scene import State, View

@@ -15,8 +15,7 @@ from magical.runs import is_run
 
 if TYPE_CHECKING:
     from magical.learning.ensemble import EnsemblePolicy
-    from magical.learning.policy import NetworkPolicy, TrainedPolicy
-    from magical.learning.running.loading import load_policy
+    from magical.learning.policy import NetworkPolicy, TrainedPolicy, load_policy
     from magical.learning.running.training import TrainResult, train
 
 __all__ = [
@@ -38,7 +37,7 @@ _NEEDS_TORCH = {
     "EnsemblePolicy": "ensemble",
     "NetworkPolicy": "policy",
     "TrainedPolicy": "policy",
-    "load_policy": "running.loading",
+    "load_policy": "policy",
     "TrainResult": "running.training",
     "train": "running.training",
 }

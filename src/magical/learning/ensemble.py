@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from magical.errors import PolicyError
 from magical.evaluation.policy import Actions, Mask
-from magical.learning.policy import NetworkPolicy, choose_actions
-from magical.learning.running.loading import load_policy
+from magical.learning.policy import NetworkPolicy, choose_actions, load_policy
 
 
 class EnsemblePolicy:

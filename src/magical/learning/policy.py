@@ -1,6 +1,7 @@
-"""Trained networks as policies."""
+"""Trained networks as policies, loaded from run folders."""
 
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,10 +12,13 @@ from torch import Tensor, nn
 from magical.envs import parse_env_id
 from magical.errors import DivergedError, ObservationError, PolicyError
 from magical.evaluation.policy import Actions, Mask
+from magical.learning.algorithms import find_algorithm, read_config
 from magical.learning.augmentation.augment import to_unit
 from magical.learning.config import Config
-from magical.learning.running.devices import Compute, full_float32
+from magical.learning.running.checkpoints import load_newest_checkpoint, restoring
+from magical.learning.running.devices import Compute, choose_device, full_float32, read_compute
 from magical.observe import ObservationSpec
+from magical.runs.folder import CHECKPOINT, RECORD, read_json
 
 
 class TrainedPolicy:
@@ -142,3 +146,30 @@ def to_inputs(observations: Any, spec: ObservationSpec) -> Tensor:
         return torch.from_numpy(spec.network_input(observations))
     except ObservationError as error:
         raise PolicyError(str(error)) from error
+
+
+def load_policy(run: Path | str, device: str = "auto", greedy: bool = False) -> TrainedPolicy:
+    """Load the policy from the newest checkpoint of a run folder.
+
+    Args:
+        run: the run folder.
+        device: `auto`, `cpu` or `cuda`.
+        greedy: take the most probable action instead of sampling. Has no effect on policies with
+            continuous actions: `diffusion` always samples, `act` with such actions never does.
+
+    Raises:
+        RunFolderError: the folder is not a run folder, or is damaged.
+        CheckpointError: there is no checkpoint yet, or it is damaged or of another network.
+    """
+    folder = Path(run)
+    config = read_config(folder)
+    algorithm = find_algorithm(config.algorithm)
+    network = algorithm.make_policy(config)
+    chosen = choose_device(device)
+    state = load_newest_checkpoint(folder)
+    with restoring(folder / CHECKPOINT):
+        network.load_state_dict(state["policy"])
+    recorded = read_compute(read_json(folder / RECORD), folder)
+    precision = recorded.precision if recorded and chosen == recorded.device else "float32"
+    kind = algorithm.policy or NetworkPolicy
+    return kind(network.to(chosen), config, Compute(chosen, precision), greedy)

@@ -17,13 +17,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from magical.scene import Block, Colour, Pose, Poses, Scene, Shape
+from magical.scene import Block, Colour, Pose, Scene, Shape
 from magical.scene.constants import WORKSPACE_HALF
 from magical.tasks.attributes import sample_attributes
 from magical.tasks.axes import Axis
 from magical.tasks.programs import AllBlocks, Corner, Each, InCorner
-from magical.tasks.programs.places import CORNER_FULL_SCORE, CORNER_NO_SCORE
-from magical.tasks.scoring import positions
 from magical.tasks.task import Task
 
 GOAL = (-WORKSPACE_HALF, WORKSPACE_HALF)  # the top left corner
@@ -34,17 +32,12 @@ DEMO = Scene(
     robot_first=True,
 )
 
+PROGRAM = Each(AllBlocks(), InCorner(Corner.TOP_LEFT))
+
 
 def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
     """Sample the block's colour and shape."""
     return replace(scene, blocks=sample_attributes(scene.blocks, axes, rng))
-
-
-def score(scene: Scene, poses: Poses) -> float:
-    """How near the block is to the top left corner, 0 to 1 (appendix A.2.1)."""
-    (block,) = positions(scene, poses)
-    left = CORNER_NO_SCORE - math.dist(block, GOAL)
-    return min(max(left / (CORNER_NO_SCORE - CORNER_FULL_SCORE), 0.0), 1.0)
 
 
 def validate(scene: Scene) -> str:
@@ -60,8 +53,8 @@ TASK = Task(
     demo=DEMO,
     axes=Axis.JITTER | Axis.COLOUR | Axis.SHAPE | Axis.DYNAMICS,
     randomise_fn=randomise,
-    program=Each(AllBlocks(), InCorner(Corner.TOP_LEFT)),
-    score_fn=score,
+    program=PROGRAM,
+    score_fn=PROGRAM.score,
     max_blocks=1,
     max_regions=0,
     mirror_symmetric=False,

@@ -1,8 +1,7 @@
 """`light` with the second linear layer of Fig. 11; plans name it as `NETWORK` of this module."""
 
-from types import SimpleNamespace
+from dataclasses import replace
 
-from magical.learning.networks.light import make_convolutions
+from magical.learning.networks import light
 
-HIDDEN = (256, 256)
-NETWORK = SimpleNamespace(HIDDEN=HIDDEN, make_convolutions=make_convolutions)
+NETWORK = replace(light.NETWORK, HIDDEN=(256, 256))

@@ -19,14 +19,19 @@ from torch.optim import Adam
 
 from magical.errors import InvalidConfigError
 from magical.learning.algorithms import Algorithm
-from magical.learning.algorithms.ppo import PPOTrainer, ReinforcementConfig, make_policy
+from magical.learning.algorithms.ppo import (
+    PUBLISHED_CODE,
+    QUICK,
+    PPOTrainer,
+    ReinforcementConfig,
+    make_policy,
+)
 from magical.learning.augmentation.augment import augment, to_unit
 from magical.learning.augmentation.names import SETS, Augmentations, augment_option
 from magical.learning.autoencoder import SIZE, Autoencoder, autoencoder_loss, save_reconstructions
 from magical.learning.config import APPENDIX, DemonstrationSettings
 from magical.learning.data.expert_data import ExpertData, Rows, load_demonstrations
 from magical.learning.models import new_statistics
-from magical.learning.reinforcement.presets import PUBLISHED_CODE, QUICK
 from magical.learning.reinforcement.replay_buffer import ROLLOUTS, ReplayBuffer
 from magical.learning.reinforcement.reward_normalisation import RewardNormaliser, reward_floor
 from magical.learning.running.checkpoints import StateDict, restoring

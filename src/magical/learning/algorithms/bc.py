@@ -35,10 +35,10 @@ from magical.learning.data.expert_data import ExpertData, TaskTrajectories, load
 from magical.learning.data.prefetch import prefetch
 from magical.learning.data.rendered_data import AUTO, RENDERING, RESAMPLING, choose_image_data
 from magical.learning.models import PolicyNetwork, Trunk, init_normal, new_statistics
+from magical.learning.policy import load_policy
 from magical.learning.running.averages import Averages
 from magical.learning.running.checkpoints import StateDict, restoring
 from magical.learning.running.devices import choose_device
-from magical.learning.running.loading import load_policy
 from magical.learning.running.optimizers import load_optimizer, optimizer_state, set_learning_rate
 from magical.learning.running.run import Run
 from magical.learning.running.streams import Purpose, seeded_init, stream

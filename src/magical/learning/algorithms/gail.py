@@ -24,14 +24,19 @@ from torch.nn import functional
 from torch.optim import Adam
 
 from magical.learning.algorithms import Algorithm
-from magical.learning.algorithms.ppo import PPOTrainer, ReinforcementConfig, make_policy
+from magical.learning.algorithms.ppo import (
+    PUBLISHED_CODE,
+    QUICK,
+    PPOTrainer,
+    ReinforcementConfig,
+    make_policy,
+)
 from magical.learning.augmentation.augment import augment, to_unit
 from magical.learning.augmentation.names import augment_option
 from magical.learning.config import DemonstrationSettings
 from magical.learning.data.expert_data import ExpertData, load_demonstrations, split_evenly
 from magical.learning.models import Discriminator, Trunk, init_normal
 from magical.learning.reinforcement.monitoring import Metrics
-from magical.learning.reinforcement.presets import PUBLISHED_CODE, QUICK
 from magical.learning.reinforcement.replay_buffer import ROLLOUTS, ReplayBuffer
 from magical.learning.reinforcement.reward_normalisation import RewardNormaliser, reward_floor
 from magical.learning.reinforcement.rollouts import Rollout

@@ -25,7 +25,6 @@ from magical.learning.config import IMAGE_OBSERVATIONS, PUBLISHED, NetworkSettin
 from magical.learning.models import ActorCritic, Trunk, centre, init_normal
 from magical.learning.reinforcement.interaction import InteractionConfig, InteractionSettings
 from magical.learning.reinforcement.monitoring import Metrics, explained_variance
-from magical.learning.reinforcement.presets import QUICK, STATES
 from magical.learning.reinforcement.rollouts import Rollout, collect_rollout, shuffle_evenly
 from magical.learning.reinforcement.trainer import InteractionTrainer
 from magical.learning.running.averages import Averages
@@ -40,6 +39,33 @@ from magical.tasks import Horizon, have_two_horizons, require_two_horizons
 
 VF_COEF = 0.5
 ADVANTAGE_EPSILON = 1e-8
+
+# What the preset `quick` changes, also in algorithms with learned rewards.
+QUICK: Mapping[str, Any] = {
+    "network": "light",
+    "init": "centred",
+    "precision": "auto",
+    "total_steps": 100_000,
+    "num_steps": 16,
+    "epochs": 4,
+    "minibatch_size": 64,
+    "learning_rate": 5e-4,
+    "clip_range": 0.2,
+    "gamma": 0.9,
+    "gae_lambda": 0.8,
+    "ent_coef": 1e-3,
+    "normalise_advantages": True,
+    "bootstrap": True,
+    "evaluate_every": 50,
+}
+
+# What `published-code` changes where rewards are learned (docs/specification.md, section 11).
+PUBLISHED_CODE: Mapping[str, Any] = {
+    "conventions": PUBLISHED,
+    "ent_coef": 2.5e-5,
+    "reward_std": 0.01,
+    "horizon": PUBLISHED,
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,7 +141,21 @@ class PPOConfig(ReinforcementConfig):
         "paper": {},
         # The environment's rewards are sparser than a discriminator's and need a longer time scale.
         "quick": {**QUICK, "minibatch_size": 128, "gamma": 0.95, "gae_lambda": 0.95},
-        "states": STATES,
+        # State vectors and the dense reward, on whose time scale an episode is short.
+        "states": {
+            **QUICK,
+            "observation": "state",
+            "network": "paper",
+            "total_steps": 1_500_000,
+            "num_envs": 16,
+            "num_steps": 128,
+            "epochs": 8,
+            "minibatch_size": 256,
+            "learning_rate": 7e-4,
+            "gamma": 0.99,
+            "gae_lambda": 0.95,
+            "ent_coef": 3e-3,
+        },
     }
 
     algorithm: str = "ppo"

@@ -40,8 +40,7 @@ from magical.learning.objects.hindsight import track
 from magical.learning.objects.parser import ParsedFrames
 from magical.learning.planning.motion import Motion, fit_motion
 from magical.learning.planning.planner import Planner, Situation
-from magical.learning.policy import TrainedPolicy, sample_actions, to_inputs
-from magical.learning.running.loading import load_policy
+from magical.learning.policy import TrainedPolicy, load_policy, sample_actions, to_inputs
 from magical.learning.running.run import Run
 from magical.learning.running.streams import Purpose, seeded_init, stream
 from magical.observe.pixels import STACK

@@ -1,12 +1,12 @@
 """The network architectures, one per file; the file's name is the architecture's.
 
-Each file defines
+Each file defines `NETWORK`, which has
 
 - `HIDDEN`: the sizes of the linear layers that follow the convolutions, and
 - `make_convolutions(channels, batch_norm)`: a module from images (B, channels, H, W), float in
   [0, 1] or [-1, 1], to feature maps of any shape (B, ...).
 
-Other distributions provide a module or an object with these two through entry points of the group
+Other distributions provide an object or a module with these two through entry points of the group
 `magical.networks`. Any other is named by `module:NAME`, an encoder from the library timm by
 `timm:MODEL`. Pre-trained architectures also have `PRETRAINED`, which is true, and those that accept
 only one range of pixels have `PIXEL_RANGE`: see `magical.learning.encoders`.
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 @runtime_checkable
 class Architecture(Protocol):
-    """An architecture, as defined by each file in this folder."""
+    """An architecture, of which each file in this folder defines one."""
 
     @property
     def HIDDEN(self) -> tuple[int, ...]:
@@ -43,6 +43,7 @@ _NETWORKS: Registry[Architecture] = Registry(
     Architecture,  # type: ignore[type-abstract]
     GROUP,
     __name__,
+    "NETWORK",
 )
 
 

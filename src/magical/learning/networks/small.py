@@ -1,13 +1,5 @@
 """Fig. 11 with about a tenth of the multiply-adds: fewer channels, a stride of 2 from the start."""
 
-from torch import nn
+from magical.learning.networks.paper import ConvolutionStack
 
-from magical.learning.networks.paper import stack_convolutions
-
-CONVOLUTIONS = ((32, 5, 2), *[(64, 3, 2)] * 3)  # output channels, kernel size, stride
-HIDDEN = (256,)
-
-
-def make_convolutions(channels: int, batch_norm: bool) -> nn.Module:
-    """A module from images (B, channels, 96, 96) to feature maps (B, 64, 6, 6)."""
-    return stack_convolutions(channels, CONVOLUTIONS, batch_norm)
+NETWORK = ConvolutionStack(((32, 5, 2), *[(64, 3, 2)] * 3), (256,))

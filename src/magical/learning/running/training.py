@@ -9,7 +9,7 @@ from typing import Any
 from magical.errors import InvalidConfigError
 from magical.learning.algorithms import find_algorithm
 from magical.learning.config import Config
-from magical.learning.policy import TrainedPolicy
+from magical.learning.policy import TrainedPolicy, load_policy
 from magical.learning.running.allocator import keep_freed_memory
 from magical.learning.running.checkpoints import restore_previous_checkpoint
 from magical.learning.running.devices import (
@@ -19,7 +19,6 @@ from magical.learning.running.devices import (
     restored_threads,
 )
 from magical.learning.running.interrupts import Interrupts
-from magical.learning.running.loading import load_policy
 from magical.learning.running.run import Callback, Run
 from magical.learning.running.streams import restored_generators
 from magical.learning.trackers import opened_trackers

@@ -91,8 +91,8 @@ class InCorner(Place):
     corner: Corner
 
     def degree(self, scene: Scene, block: int, points: Sequence[Point]) -> float:
-        beyond = max(0.0, math.dist(points[block], self._point) - CORNER_FULL_SCORE)
-        return max(0.0, 1.0 - beyond / (CORNER_NO_SCORE - CORNER_FULL_SCORE))
+        left = CORNER_NO_SCORE - math.dist(points[block], self._point)
+        return min(max(left / (CORNER_NO_SCORE - CORNER_FULL_SCORE), 0.0), 1.0)
 
     def remaining(self, scene: Scene, points: Floats) -> Floats:
         return (lengths(points - self._point) - CORNER_FULL_SCORE).clip(min=0.0)
