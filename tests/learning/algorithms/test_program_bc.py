@@ -142,6 +142,8 @@ def test_a_damaged_belief_is_refused(run: Path) -> None:
         (b"?", "expected JSON"),
         (b'[[], "x", 1]', "expected float, found 'x'"),
         (b'[[["f()", 1]], 0, 1]', "policy: expression"),
+        (b'[[["RobotInside()", 0.0]], 0, 1]', "> 0.0"),
+        (b"[[], 0, 1]", "policy: no programs, but 0"),
     ):
         network.beliefs[0] = 0
         network.beliefs[0, : len(text)] = torch.frombuffer(bytearray(text), dtype=torch.uint8)

@@ -16,10 +16,11 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import numpy as np
 import torch
+from msgspec import Meta
 from torch import Tensor
 
 from magical.errors import CheckpointError, InvalidProgramError, RunFolderError
@@ -101,13 +102,16 @@ class ProgramNetwork(ObjectPolicy):
             explanations = [Explanation(parse(program), w) for program, w in saved.programs]
         except InvalidProgramError as error:
             raise CheckpointError(f"policy: {error}") from error
-        return Belief(explanations, saved.unexplained, saved.largest)
+        belief = Belief(explanations, saved.unexplained, saved.largest)
+        if belief.is_explained and not explanations:
+            raise CheckpointError(f"policy: no programs, but {saved.unexplained} unexplained")
+        return belief
 
 
 class _SavedBelief(NamedTuple):
     """A belief as a JSON array of these values."""
 
-    programs: list[tuple[str, float]]  # with their weights
+    programs: list[tuple[str, Annotated[float, Meta(gt=0)]]]  # with their weights
     unexplained: float
     largest: float
 
