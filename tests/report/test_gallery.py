@@ -162,7 +162,7 @@ def test_what_a_killed_gallery_left_is_no_obstacle(tmp_path: Path) -> None:
 @pytest.mark.parametrize("task", TASKS.values(), ids=lambda task: task.name)
 def test_every_tasks_docstring_describes_it(task: Task) -> None:
     description = describe_task(task)
-    words = " ".join(paragraph.text for paragraph in description.score_rule)
+    words = " ".join(paragraph.text for paragraph in description.scoring_rule)
     assert len(words) > 60
     assert "Horizon" not in words
     assert "`" not in words
@@ -180,9 +180,9 @@ def test_other_tasks_are_described_by_their_score_function() -> None:
 
     task = replace(get_task("MoveToRegion"), name="Mine", score_fn=partial(score, 1.0))
     description = describe_task(task)
-    assert [paragraph.text for paragraph in description.score_rule] == ["How far it got."]
+    assert [paragraph.text for paragraph in description.scoring_rule] == ["How far it got."]
     assert not description.variation
-    formulas = [p.text for p in describe_task(get_task("FindDupe")).score_rule if p.is_formula]
+    formulas = [p.text for p in describe_task(get_task("FindDupe")).scoring_rule if p.is_formula]
     assert formulas == ["[q in R] x [T & R not empty] x (1 - |D & R| / |R|)."]
 
 

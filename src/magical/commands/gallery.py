@@ -1,7 +1,7 @@
 """Make a static site of the registered environments, which can be put on any web server.
 
-For each task it shows what to do, the score rule and the horizon; for each variant its scene, what
-it changes, and a rollout of the scripted expert as an animation.
+For each task it shows what to do, the scoring rule and the horizon; for each variant its scene,
+what it changes, and a rollout of the scripted expert as an animation.
 """
 
 import argparse

@@ -44,17 +44,17 @@ def t_interval(
         The interval with Welch's degrees of freedom; its ends are NaN if a stratum has one run.
     """
     _check_confidence(confidence)
-    freedom = [len(stratum) - 1.0 for stratum in strata]
-    if not all(freedom):
+    degrees = [len(stratum) - 1.0 for stratum in strata]
+    if not all(degrees):
         return Interval(value, math.nan, math.nan)
     variances = [len(stratum) * stratum.var(ddof=1) for stratum in strata]
-    return welch_interval(value, variances, freedom, confidence, bounds)
+    return welch_interval(value, variances, degrees, confidence, bounds)
 
 
 def welch_interval(
     value: float,
     variances: ArrayLike,
-    freedom: ArrayLike,
+    degrees: ArrayLike,
     confidence: float,
     bounds: tuple[float, float],
 ) -> Interval:
@@ -63,7 +63,7 @@ def welch_interval(
     Args:
         value: the estimate.
         variances: the variances of the parts, (parts,).
-        freedom: degrees of freedom of each variance, or one number for all.
+        degrees: of freedom, of each variance, or one number for all.
         confidence: nominal coverage.
         bounds: the smallest and the largest possible value.
     """
@@ -72,7 +72,7 @@ def welch_interval(
     _check_confidence(confidence)
     parts = np.asarray(variances, np.float64)
     total = float(parts.sum())
-    welch = total**2 / (parts**2 / np.asarray(freedom)).sum() if total > 0.0 else 1.0
+    welch = total**2 / (parts**2 / np.asarray(degrees)).sum() if total > 0.0 else 1.0
     half = float(stdtrit(welch, (1.0 + confidence) / 2.0)) * math.sqrt(total)
     return Interval(value, max(value - half, bounds[0]), min(value + half, bounds[1]))
 

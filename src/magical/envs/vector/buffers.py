@@ -13,52 +13,83 @@ from itertools import accumulate
 from typing import Any, TypeVar
 
 import numpy as np
+from gymnasium.vector import AutoresetMode
 from numpy.typing import DTypeLike, NDArray
 
 from magical.envs.action_spec import Actions, ActionSpec
+from magical.envs.episode import Reward, check_reward
+from magical.envs.ids import EnvId
 from magical.observe import ObservationSpec
 from magical.observe.arrays import copy_arrays, gather
 from magical.processes.children import above_standard
+from magical.scene.poses import FIRST_BLOCK
+from magical.tasks import Horizon, Task, parse_horizon
 
 _ALIGNMENT = 64  # bytes: a cache line
+# The current observations, the previous ones, and those of the step in progress: training loops
+# keep the first two.
+COPIES = 3
 ArrayShape = tuple[int, ...]
 T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
-class BufferLayout:
-    """The arrays for `num_envs` sub-environments of at most `max_bodies` bodies each.
+class VectorSpec:
+    """What a vector environment consists of.
 
-    `keep_final` adds room for each sub-environment's last observation of an episode (SAME_STEP
-    autoreset). `copies` is the number of observation arrays that may be handed out (`Copies`).
+    Raises `InvalidConfigError` or `UnknownNameError` for an invalid variant, horizon or reward.
     """
 
-    num_envs: int
-    spec: ObservationSpec
+    env_ids: tuple[EnvId, ...]  # one for each sub-environment, without presets
+    observation: ObservationSpec  # of all sub-environments
+    horizon: Horizon
+    reward: Reward
+    autoreset_mode: AutoresetMode
+    copy: bool
     action_spec: ActionSpec
-    max_bodies: int
-    keep_final: bool
-    copies: int
+
+    def __post_init__(self) -> None:
+        parse_horizon(self.horizon)
+        for env_id in self.env_ids:
+            env_id.task_spec.axes_of(env_id.variant)  # raises for a variant that the task lacks
+            check_reward(env_id.task_spec, self.reward)
+
+    def tasks(self) -> list[Task]:
+        """The sub-environments' tasks."""
+        return [env_id.task_spec for env_id in self.env_ids]
+
+    @property
+    def keeps_final(self) -> bool:
+        """Whether each sub-environment's last observation of an episode is kept."""
+        return self.autoreset_mode is AutoresetMode.SAME_STEP
+
+    @property
+    def copies(self) -> int:
+        """The number of observation arrays that may be handed out; see `Copies`."""
+        return COPIES if self.copy and self.observation.num_images else 0
 
     @property
     def fields(self) -> dict[str, tuple[ArrayShape, DTypeLike, int]]:
-        """Shape, type and offset in bytes of each array; an observation's are named `name/part`."""
-        n = self.num_envs
+        """Shape, type and offset in bytes of each array in the buffer.
+
+        An observation's arrays are named `name/part`.
+        """
+        n, max_blocks = len(self.env_ids), max(task.max_blocks for task in self.tasks())
         fields: dict[str, tuple[ArrayShape, DTypeLike]] = {
             "actions": ((n, *self.action_spec.shape), self.action_spec.dtype),
             "active": ((n,), np.bool_),
             "rewards": ((n,), np.float64),
             "truncations": ((n,), np.bool_),
             "scores": ((2, n), np.float64),
-            "bodies": ((n, self.max_bodies, 6), np.float64),
+            "bodies": ((n, FIRST_BLOCK + max_blocks, 6), np.float64),
             "body_counts": ((n,), np.int64),
             "steps": ((n,), np.int64),
             "horizons": ((n,), np.int64),
             "copy_to": ((1,), np.int64),
         }
-        names = ["observations", *("final_observations",) * self.keep_final]
+        names = ["observations", *("final_observations",) * self.keeps_final]
         for name in names + [f"copy{i}" for i in range(self.copies)]:
-            for part, (shape, dtype) in self.spec.fields.items():
+            for part, (shape, dtype) in self.observation.fields.items():
                 fields[f"{name}/{part}"] = ((n, *shape), dtype)
         offsets = accumulate((_bytes(*field) for field in fields.values()), initial=0)
         return {
@@ -90,18 +121,18 @@ class VectorBuffers:
     final_observations: Any  # the same, or None
     copies: list[Any]  # each the same
 
-    def __init__(self, layout: BufferLayout, memory: Any = None) -> None:
+    def __init__(self, spec: VectorSpec, memory: Any = None) -> None:
         """Place the arrays in `memory`, or allocate them."""
-        self.layout = layout
-        self.memory = np.zeros(layout.size, np.uint8) if memory is None else memory
+        self.spec = spec
+        self.memory = np.zeros(spec.size, np.uint8) if memory is None else memory
         arrays = {
             name: np.ndarray(shape, dtype, self.memory, offset)
-            for name, (shape, dtype, offset) in layout.fields.items()
+            for name, (shape, dtype, offset) in spec.fields.items()
         }
         final = _parts(arrays, "final_observations")
         self.observations = gather(_parts(arrays, "observations"))
-        self.final_observations = gather(final) if layout.keep_final else None
-        self.copies = [gather(_parts(arrays, f"copy{i}")) for i in range(layout.copies)]
+        self.final_observations = gather(final) if spec.keeps_final else None
+        self.copies = [gather(_parts(arrays, f"copy{i}")) for i in range(spec.copies)]
         for name, array in arrays.items():
             if "/" not in name:
                 setattr(self, name, array)
@@ -117,10 +148,10 @@ class Copies:
 
     def __init__(self, buffers: VectorBuffers) -> None:
         self._buffers = buffers
-        self._memory = ctypes.c_char * buffers.layout.size
+        self._memory = ctypes.c_char * buffers.spec.size
         self._raw: Any = buffers.memory
-        self._holders: list[weakref.ref[Any] | None] = [None] * buffers.layout.copies
-        fields = buffers.layout.fields
+        self._holders: list[weakref.ref[Any] | None] = [None] * buffers.spec.copies
+        fields = buffers.spec.fields
         self._fields = [_parts(fields, f"copy{i}") for i in range(len(self._holders))]
 
     def choose(self) -> int:

@@ -17,7 +17,7 @@ from magical.envs.env import SCORE_KEYS, Instruction, MagicalEnv, names_attribut
 from magical.envs.episode import Reward
 from magical.envs.ids import EnvId, parse_env_id
 from magical.envs.saved_state import parse_state
-from magical.envs.vector.buffers import Copies, SharedMemory, VectorBuffers
+from magical.envs.vector.buffers import Copies, SharedMemory, VectorBuffers, VectorSpec
 from magical.envs.vector.checks import (
     check_timeout,
     checked_mask,
@@ -25,7 +25,7 @@ from magical.envs.vector.checks import (
     parse_autoreset_mode,
     require_episodes,
 )
-from magical.envs.vector.sub_envs import Started, SubEnvs, VectorSpec, common_observation
+from magical.envs.vector.sub_envs import Started, SubEnvs, common_observation
 from magical.envs.vector.workers import RemoteSubEnvs
 from magical.errors import (
     AlreadyPendingCallError,
@@ -139,13 +139,12 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         self._make_sub_envs(spec, timeout)
 
     def _make_sub_envs(self, spec: VectorSpec, timeout: float | None) -> None:
-        layout = spec.layout()
         if self.workers:
-            memory = SharedMemory(layout.size)
-            self._buffers = VectorBuffers(layout, memory.memory)
+            memory = SharedMemory(spec.size)
+            self._buffers = VectorBuffers(spec, memory.memory)
             self._sub_envs = RemoteSubEnvs(spec, self.workers, memory, timeout)
         else:
-            self._buffers = VectorBuffers(layout)
+            self._buffers = VectorBuffers(spec)
             self._sub_envs = SubEnvs(spec, range(self.num_envs), self._buffers)
         self._copies = Copies(self._buffers)
 

@@ -1,66 +1,25 @@
 """Some of a vector environment's sub-environments, stepped one after the other in one process."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode
 
-from magical.envs.action_spec import ActionSpec
-from magical.envs.episode import Episode, Reward, check_reward
+from magical.envs.episode import Episode
 from magical.envs.ids import EnvId
 from magical.envs.saved_state import SavedState
-from magical.envs.vector.buffers import BufferLayout, VectorBuffers
+from magical.envs.vector.buffers import VectorBuffers, VectorSpec
 from magical.errors import InvalidSceneError, MismatchedSpacesError
 from magical.observe import Observation, ObservationSpec, make_spec
 from magical.observe.arrays import assign, select
 from magical.scene.actions import AnyAction
 from magical.scene.poses import FIRST_BLOCK
 from magical.scene.scene import Scene
-from magical.tasks import Horizon, Task, parse_horizon
 
-# The current observations, the previous ones, and those of the step in progress: training loops
-# keep the first two.
-COPIES = 3
 Started = list[tuple[int, Scene]]  # sub-environments that started an episode, and its scene
 Seeds = Sequence[tuple[int, int | None]]  # sub-environments to reset, and their seeds
-
-
-@dataclass(frozen=True, slots=True)
-class VectorSpec:
-    """What a vector environment consists of.
-
-    Raises `InvalidConfigError` or `UnknownNameError` for an invalid variant, horizon or reward.
-    """
-
-    env_ids: tuple[EnvId, ...]  # one for each sub-environment, without presets
-    observation: ObservationSpec  # of all sub-environments
-    horizon: Horizon
-    reward: Reward
-    autoreset_mode: AutoresetMode
-    copy: bool
-    action_spec: ActionSpec
-
-    def __post_init__(self) -> None:
-        parse_horizon(self.horizon)
-        for env_id in self.env_ids:
-            env_id.task_spec.axes_of(env_id.variant)  # raises for a variant that the task lacks
-            check_reward(env_id.task_spec, self.reward)
-
-    def tasks(self) -> list[Task]:
-        """The sub-environments' tasks."""
-        return [env_id.task_spec for env_id in self.env_ids]
-
-    def layout(self) -> BufferLayout:
-        """The layout of the memory that all sub-environments need."""
-        bodies = FIRST_BLOCK + max(task.max_blocks for task in self.tasks())
-        keep_final = self.autoreset_mode is AutoresetMode.SAME_STEP
-        copies = COPIES if self.copy and self.observation.num_images else 0
-        return BufferLayout(
-            len(self.env_ids), self.observation, self.action_spec, bodies, keep_final, copies
-        )
 
 
 def common_observation(env_ids: Sequence[EnvId], observation: Observation) -> ObservationSpec:

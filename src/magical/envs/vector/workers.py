@@ -22,8 +22,8 @@ import numpy as np
 import magical.tasks
 from magical.envs.episode import Episode
 from magical.envs.saved_state import SavedState
-from magical.envs.vector.buffers import SharedMemory, VectorBuffers, open_memory
-from magical.envs.vector.sub_envs import Seeds, Started, SubEnvs, VectorSpec
+from magical.envs.vector.buffers import SharedMemory, VectorBuffers, VectorSpec, open_memory
+from magical.envs.vector.sub_envs import Seeds, Started, SubEnvs
 from magical.errors import (
     InvalidTaskError,
     ObservationError,
@@ -248,12 +248,11 @@ def main(requests: IO[bytes], replies: IO[bytes]) -> None:
 
 def _start(modules: Sequence[str], spec: VectorSpec, handle: int | str, rows: range) -> SubEnvs:
     load_tasks(modules)
-    layout = spec.layout()
-    memory = open_memory(handle, layout.size)
+    memory = open_memory(handle, spec.size)
     if isinstance(handle, int):
         os.close(handle)
     _warm_up(spec)
-    sub_envs = SubEnvs(spec, rows, VectorBuffers(layout, memory))
+    sub_envs = SubEnvs(spec, rows, VectorBuffers(spec, memory))
     # What is loaded by now stays loaded; excluding it, a collection takes a millisecond or two.
     gc.collect()
     gc.freeze()

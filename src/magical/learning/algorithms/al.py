@@ -9,7 +9,6 @@ First an autoencoder is trained on the expert's samples; its encoder phi is then
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -34,6 +33,7 @@ from magical.learning.data.expert_data import ExpertData, Rows, load_demonstrati
 from magical.learning.models import new_statistics
 from magical.learning.reinforcement.replay_buffer import ROLLOUTS, ReplayBuffer
 from magical.learning.reinforcement.reward_normalisation import RewardNormaliser, reward_floor
+from magical.learning.running.averages import Averages
 from magical.learning.running.checkpoints import StateDict, restoring
 from magical.learning.running.devices import Compute
 from magical.learning.running.optimizers import load_optimizer, optimizer_state, set_learning_rate
@@ -177,6 +177,7 @@ def pretrain(
             "autoencoder_optimizer": optimizer_state(optimizer),
         }
 
+    averages = Averages()
     for number in range(run.step, config.pretraining_batches):
         losses = pretraining_step(
             config, ppo.compute, expert, autoencoder, optimizer, number, scale
@@ -185,15 +186,11 @@ def pretrain(
         last = done == config.pretraining_batches
         if last and config.refined:
             compute_statistics(config, ppo.compute, expert, autoencoder)
-        metrics = partial(_values, losses)
-        if run.finish_step(done, metrics, state_dict, log_every=LOG_EVERY, last=last):
+        averages.add(1, **losses)
+        if run.finish_step(done, averages.reset, state_dict, log_every=LOG_EVERY, last=last):
             return False
     autoencoder.eval().requires_grad_(False)
     return True
-
-
-def _values(losses: Mapping[str, Tensor]) -> dict[str, float]:
-    return {name: loss.item() for name, loss in losses.items()}
 
 
 def pretraining_step(

@@ -45,7 +45,7 @@ ACTION_SIZE = ACTION_SIZES["continuous"]
 NOISE_LEVELS = 100  # T, in training
 SCHEDULE_OFFSET = 0.008  # s of the cosine schedule
 MAX_BETA = 0.999
-CHANNELS, KERNEL_SIZE, BLOCKS, GROUPS = 64, 5, 4, 8  # of the denoiser
+CHANNELS, KERNEL_SIZE, LAYERS, GROUPS = 64, 5, 4, 8  # of the denoiser
 EMBEDDING_SIZE = 64  # of a noise level
 
 
@@ -112,7 +112,7 @@ class Denoiser(nn.Module):
             nn.Linear(EMBEDDING_SIZE, CHANNELS), nn.Mish(), nn.Linear(CHANNELS, CHANNELS)
         )
         self.first = nn.Conv1d(ACTION_SIZE, CHANNELS, KERNEL_SIZE, padding=KERNEL_SIZE // 2)
-        self.blocks = nn.ModuleList(_Block(num_features + CHANNELS) for _ in range(BLOCKS))
+        self.blocks = nn.ModuleList(_ResidualLayer(num_features + CHANNELS) for _ in range(LAYERS))
         self.last = nn.Conv1d(CHANNELS, ACTION_SIZE, 1)
 
     def forward(self, noisy: Tensor, levels: Tensor, features: Tensor) -> Tensor:
@@ -125,7 +125,7 @@ class Denoiser(nn.Module):
         return chunks
 
 
-class _Block(nn.Module):
+class _ResidualLayer(nn.Module):
     """Two convolutions over time; the condition scales and shifts the first one's output (FiLM)."""
 
     def __init__(self, num_conditions: int) -> None:

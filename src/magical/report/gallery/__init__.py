@@ -1,6 +1,6 @@
 """The gallery: a static site of all registered environments.
 
-- `descriptions`: a task's score rule and variation from its docstring; scenes in words.
+- `descriptions`: a task's scoring rule and variation from its docstring; scenes in words.
 - `previews`: scenes and the scripted experts' rollouts as image files.
 - `site`: the page and its folder.
 """

@@ -25,18 +25,18 @@ class Paragraph:
 class Description:
     """A task's description from its docstring."""
 
-    score_rule: Sequence[Paragraph]
+    scoring_rule: Sequence[Paragraph]
     variation: Mapping[str, str] = field(default_factory=dict)  # what each axis changes, by name
 
 
 def describe_task(task: Task) -> Description:
-    """The score rule of a task and how its variants vary the scene.
+    """The scoring rule of a task and how its variants vary the scene.
 
     Both are read from the docstring of the module whose `TASK` this is, if the docstring begins
-    with the task's name and is laid out like those of `magical.tasks`: the score rule before
-    `Horizon:`, the variation in the list after it. Otherwise the score rule is the first paragraph
-    of the docstring of the score function, or of the program's class if the program defines the
-    score, and the variation is empty.
+    with the task's name and is laid out like those of `magical.tasks`: the scoring rule before
+    `Horizon:`, the variation in the list after it. Otherwise the scoring rule is the first
+    paragraph of the docstring of the score function, or of the program's class if the program
+    defines the score, and the variation is empty.
     """
     score_fn: Any = task.score_fn
     if isinstance(score_fn, partial):
