@@ -139,7 +139,7 @@ def task_page(task: Task, rows: Sequence[Row]) -> str:
         f"{picture('Demo', f'The expert in {task.name} Demo')}\n"
         f"{picture('TestAll', f'The expert in {task.name} TestAll')}\n\n"
         "The scripted expert in Demo and in TestAll, at twice the control rate.\n\n"
-        f"## Score\n\n{prose(description.score_rule)}\n\n"
+        f"## Score\n\n{prose(description.scoring_rule)}\n\n"
         f"**Horizon**: {_horizon(task)}\n\n"
         f"## Variants\n\n{varies}\n\nIn this task:\n\n{here}\n\n"
         f"## Scores\n\n{scores}\n\n{NOTE}\n"
@@ -169,7 +169,7 @@ def environment_page(task: Task, variant: str, rows: Sequence[Row], kept: str) -
         f"**What varies**: {changes}\n\n"
         f"**Horizon**: {_horizon(task)}\n\n"
         f"**Score** ([the task](index.md) and its other variants):\n\n"
-        f"{prose(describe_task(task).score_rule)}\n\n"
+        f"{prose(describe_task(task).scoring_rule)}\n\n"
         f"## Scores\n\n{scores}\n\n{NOTE}\n"
     )
 
