@@ -44,7 +44,6 @@ from magical.learning.objects.components import (
     pixel_x,
     pixel_y,
 )
-from magical.observe.pixels import copy_pixels
 from magical.scene.constants import FINGER_ROOT_X, FINGER_ROOT_Y, FRAME_SIZE, ROBOT_RADIUS, SIDES
 
 MAX_BLOCKS = 10  # the most in any of the benchmark's tasks
@@ -116,7 +115,8 @@ def parse_frames(
     pixels = frames
     if not frames.flags.c_contiguous:
         pixels = np.empty(frames.shape, np.uint8)
-        copy_pixels(frames, pixels)
+        for channel in range(frames.shape[3]):  # all at once takes three times as long
+            pixels[..., channel] = frames[..., channel]
     compiled_parse(pixels, robot_alone, features, *parsed)
     return parsed
 
