@@ -121,7 +121,7 @@ def _way(config: Config) -> Way:
     from magical.learning.running.devices import choose_compute, choose_device
 
     device = choose_device(config.device)
-    threads = config.threads or int(config.observes_vectors)
+    threads = config.threads or int(config.observes_vectors and config.environment_steps > 0)
     compute = choose_compute(device, config.network_precision, threads)
     threads = compute.threads if device == "cpu" else 0
     networks = config.part(EncoderSettings)
