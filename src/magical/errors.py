@@ -170,11 +170,7 @@ class NotFoundError(MagicalError, LookupError):
 
 
 class BusyError(MagicalError, RuntimeError):
-    """A server that already has too many requests to answer."""
-
-
-class ServerFullError(MagicalError, RuntimeError):
-    """A server whose environments are all in use."""
+    """A server that has too many requests to answer, or whose environments are all in use."""
 
 
 class ServerError(MagicalError, OSError):

@@ -1,8 +1,7 @@
 """The progress display of all commands: a bar on standard error."""
 
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from typing import Self
 
 from rich.console import Console
@@ -64,13 +63,6 @@ class ProgressBar:
 def print_line(console: Console, line: str) -> None:
     """Print a line unchanged, however long."""
     console.print(line, highlight=False, markup=False, soft_wrap=True)
-
-
-@contextmanager
-def progress_bar(title: str, total: int) -> Iterator[Callable[[int], None]]:
-    """A bar that counts to `total`; yields the function that advances it."""
-    with ProgressBar(title, total) as bar:
-        yield bar.advance
 
 
 def _format(name: str, value: float | str) -> str:

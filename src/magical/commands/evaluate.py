@@ -98,7 +98,7 @@ def run(args: argparse.Namespace) -> int:
     from magical.evaluation.protocol import NUDGE, Evaluation
     from magical.evaluation.rollouts import roll_out
     from magical.files import make_folder
-    from magical.progress import progress_bar
+    from magical.progress import ProgressBar
 
     policy = load_policy(args.policy)
     if wrong := _misused(args, policy):
@@ -122,8 +122,8 @@ def run(args: argparse.Namespace) -> int:
         return USAGE
     if args.out:
         make_folder(args.out)  # an unwritable folder is noticed before the rollouts
-    with progress_bar("rollouts", len(evaluation.env_ids) * args.rollouts) as advance:
-        scores = roll_out(policy, evaluation, workers=args.workers, progress=advance)
+    with ProgressBar("rollouts", len(evaluation.env_ids) * args.rollouts) as bar:
+        scores = roll_out(policy, evaluation, workers=args.workers, progress=bar.advance)
     print_scores(scores)
     if args.out:
         replace(entry, scores=scores).write(args.out)

@@ -46,18 +46,18 @@ def run(args: argparse.Namespace) -> int:
     from magical.evaluation import evaluate
     from magical.evaluation.expert import ExpertPolicy
     from magical.evaluation.statistics import by_environment
-    from magical.progress import progress_bar
+    from magical.progress import ProgressBar
 
     policy = ExpertPolicy(args.skill, TAKEOVER if args.takeover else 0.0)
     env_ids = [parse_env_id(env_id).without_preset for env_id in args.env or all_env_ids()]
-    with progress_bar("rollouts", len(env_ids) * args.rollouts) as advance:
+    with ProgressBar("rollouts", len(env_ids) * args.rollouts) as bar:
         rows = evaluate(
             policy,
             env_ids,
             rollouts=args.rollouts,
             seed=args.seed,
             workers=args.workers,
-            progress=advance,
+            progress=bar.advance,
         )
     results: dict[str, Any] = {
         env_id: {"mean": fmean(scores), "std": pstdev(scores), "scores": scores}

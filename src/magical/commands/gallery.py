@@ -33,17 +33,17 @@ def run(args: argparse.Namespace) -> int:
     """Check the folder, make the images, write the site."""
     from magical.evaluation import environments
     from magical.extras import require
-    from magical.progress import progress_bar
+    from magical.progress import ProgressBar
     from magical.report.gallery import check_site, make_previews, write_gallery
 
     require("report")
     env_ids = environments(args.task)
     check_site(args.out)
     previews = []
-    with progress_bar("environments", len(env_ids)) as advance:
+    with ProgressBar("environments", len(env_ids)) as bar:
         for preview in make_previews(env_ids, args.seed, args.workers):
             previews.append(preview)
-            advance(1)
+            bar.advance()
     size = write_gallery(args.out, previews, args.seed)
     scores = {preview.env_id: preview.score for preview in previews}
     print_table(

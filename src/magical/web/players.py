@@ -3,7 +3,7 @@
 import secrets
 from collections.abc import Callable, Iterator
 
-from magical.errors import ServerFullError
+from magical.errors import BusyError
 from magical.web.session import Phase, Session
 
 RESUME_TIME = 60.0  # s for which a session is kept after its connection was lost
@@ -66,13 +66,13 @@ class Players:
         """The player with that key, or a new player.
 
         Raises:
-            ServerFullError: there is no such player, and the server is full.
+            BusyError: there is no such player, and the server is full.
         """
         self.drop_expired(now)
         if key is not None and key in self._players:
             return self._players[key]
         if len(self._players) >= self._limit:
-            raise ServerFullError(
+            raise BusyError(
                 f"all {self._limit} environments of this server are in use; try again later, or "
                 "ask for a larger --max-players"
             )

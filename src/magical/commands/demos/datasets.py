@@ -20,14 +20,14 @@ def run_generate(args: argparse.Namespace) -> int:
     from magical.demos.generate import generate
     from magical.demos.store.summary import find_duplicates
     from magical.envs import parse_env_id
-    from magical.progress import progress_bar
+    from magical.progress import ProgressBar
 
     ids = [parse_env_id(env_id).without_preset for env_id in args.env]
     names = ("seed", "first", "skill", "perturb", "min_score", "action_space", "workers")
     options = {name: getattr(args, name) for name in names}
-    with progress_bar("generate", args.n * len(ids)) as advance:
+    with ProgressBar("generate", args.n * len(ids)) as bar:
         reports = [
-            generate(env_id, args.n, args.out, progress=advance, **options) for env_id in ids
+            generate(env_id, args.n, args.out, progress=bar.advance, **options) for env_id in ids
         ]
     print_table(
         ("environment", "kept", "dropped", "mean score"),
@@ -104,14 +104,14 @@ def run_replay(args: argparse.Namespace) -> int:
     """`magical demos replay`: exit status 1 if anything is damaged."""
     from magical.demos import Dataset
     from magical.demos.replay import mean_replays, replay
-    from magical.progress import progress_bar
+    from magical.progress import ProgressBar
 
     dataset = Dataset.open(args.dataset, skip_damaged=True)
     replays = []
-    with progress_bar("replay", len(dataset)) as advance:
+    with ProgressBar("replay", len(dataset)) as bar:
         for entry, trajectory in zip(dataset.entries, dataset, strict=True):
             replays.append(replay(trajectory, entry.file))
-            advance(1)
+            bar.advance()
     means = mean_replays(replays)
     columns = "environment", "count", "recorded", "replayed", "agree", "published", "appendix"
     rows = [

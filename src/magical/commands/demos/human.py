@@ -30,7 +30,7 @@ def run_download(args: argparse.Namespace) -> int:
     from magical.demos import Dataset, DatasetWriter
     from magical.demos.human.download import BASE_URL, fetch_all
     from magical.demos.human.published import published_sums
-    from magical.progress import progress_bar
+    from magical.progress import ProgressBar
 
     wanted = {f: s for f, s in published_sums().items() if fnmatch.fnmatch(f, args.files)}
     if not wanted:
@@ -41,8 +41,8 @@ def run_download(args: argparse.Namespace) -> int:
     have = {(e.source, e.source_sha256) for e in Dataset.open(args.out).entries}
     missing = {f: s for f, s in wanted.items() if (Path(f).name, s) not in have}
     folder = args.keep or args.out / "download"
-    with progress_bar("download", len(missing)) as advance:
-        fetched = fetch_all(missing, folder, args.base_url or BASE_URL, advance)
+    with ProgressBar("download", len(missing)) as bar:
+        fetched = fetch_all(missing, folder, args.base_url or BASE_URL, bar.advance)
     for error in fetched.errors:
         log(f"error: {error}")
     status = _import(list(fetched.files.values()), args, not_fetched=fetched.errors)
@@ -53,16 +53,16 @@ def run_download(args: argparse.Namespace) -> int:
 
 def _import(files: list[Path], args: argparse.Namespace, not_fetched: Sequence[str] = ()) -> int:
     from magical.demos.human.importing import import_published
-    from magical.progress import progress_bar
+    from magical.progress import ProgressBar
 
-    with progress_bar("import", len(files)) as advance:
+    with ProgressBar("import", len(files)) as bar:
         report = import_published(
             files,
             args.out,
             keep="frames" if args.frames_only else "both" if args.keep_frames else "poses",
             workers=args.workers,
             skip_duplicates=args.skip_duplicates,
-            progress=advance,
+            progress=bar.advance,
         )
     _print_report(report, args)
     print_json(args, {"out": str(args.out), "not_fetched": list(not_fetched), **asdict(report)})
