@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import magical
-from magical.progress import progress_bar
+from magical.progress import ProgressBar
 from magical.tasks import TASKS
 
 FACTORS = (0.5, 1.5)
@@ -116,7 +116,7 @@ def measure(out: Path, tasks: Sequence[str], rollouts: int, only: Sequence[str])
     before = roll_out(tasks, rollouts) if wanted else []
     if before is None:
         raise SystemExit("the experts fail as they are")
-    with out.open("a", newline="") as file, progress_bar("constants", len(wanted)) as advance:
+    with out.open("a", newline="") as file, ProgressBar("constants", len(wanted)) as bar:
         writer = csv.writer(file)
         if not done - {HEADER[:4]}:
             writer.writerow(HEADER)
@@ -124,7 +124,7 @@ def measure(out: Path, tasks: Sequence[str], rollouts: int, only: Sequence[str])
             after = roll_out(tasks, rollouts, constant, factor)
             writer.writerow([*constant[:3], factor, *_compare(before, after)])
             file.flush()
-            advance(1)
+            bar.advance(1)
 
 
 def _compare(before: Sequence[Any], after: Sequence[Any] | None) -> tuple[str, ...]:

@@ -15,7 +15,7 @@ from stable_baselines3 import PPO
 from magical.envs.sb3 import MagicalSB3VecEnv
 from magical.envs.vector import MagicalVectorEnv
 from magical.evaluation import environments, evaluate, summarise
-from magical.progress import progress_bar
+from magical.progress import ProgressBar
 
 NUM_ENVS = 16
 DEMO = "magical/MoveToRegion-Demo-v0"
@@ -59,8 +59,13 @@ def train(steps: int, workers: int | None = None) -> SB3Policy:
         device="cpu",
     )
     print(f"training for {steps:,} steps")
-    with progress_bar("steps", steps) as advance:
-        model.learn(steps, callback=lambda *_: advance(NUM_ENVS) is None)  # True: go on
+    with ProgressBar("steps", steps) as bar:
+
+        def advance(*_: object) -> bool:
+            bar.advance(NUM_ENVS)
+            return True  # continue training
+
+        model.learn(steps, callback=advance)
     envs.close()
     return SB3Policy(model)
 
@@ -70,8 +75,8 @@ def main(steps: int = 50_000, rollouts: int = 100, workers: int | None = None) -
     policy = train(steps, workers)
     env_ids = environments(policy.tasks)
     print(f"evaluating {rollouts} rollouts in each of {len(env_ids)} environments")
-    with progress_bar("rollouts", rollouts * len(env_ids)) as advance:
-        scores = evaluate(policy, env_ids, rollouts=rollouts, workers=workers, progress=advance)
+    with ProgressBar("rollouts", rollouts * len(env_ids)) as bar:
+        scores = evaluate(policy, env_ids, rollouts=rollouts, workers=workers, progress=bar.advance)
     for variant, summary in summarise(scores).items():
         print(f"{variant:10} {summary['mean']:.2f}")
 

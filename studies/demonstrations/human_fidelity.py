@@ -34,7 +34,7 @@ from magical.demos.human.importing import find_published
 from magical.demos.human.published import read_demonstration
 from magical.demos.store.reader import estimated_states
 from magical.physics import Simulation
-from magical.progress import progress_bar
+from magical.progress import ProgressBar
 from magical.render import Renderer
 from magical.scene import ACTIONS
 from magical.scene.actions import Gripper
@@ -84,13 +84,13 @@ def main() -> int:
         return 1
     print_recovery(trajectories, args.published)
     print_scores(trajectories)
-    with progress_bar("windows", len(trajectories)) as advance:
+    with ProgressBar("windows", len(trajectories)) as bar:
         windows: list[Window] = []
         own: list[Window] = []
         for trajectory in trajectories:
             windows += simulate_windows(trajectory, args.every)
             own += simulate_windows(own_recording(trajectory), args.every)
-            advance(1)
+            bar.advance(1)
     print_predictions(windows, own)
     if args.figure:
         draw(windows, own, args.figure)
