@@ -30,7 +30,7 @@ def batch(space: str = "discrete") -> Chunks:
         actions = torch.randint(-1, 2, (6, LENGTH, 3), generator=generator).float()
     exist = torch.ones(6, LENGTH, dtype=torch.bool)
     exist[2, 1:] = False
-    return Chunks(images, actions, exist, torch.arange(6) % len(TASKS))
+    return Chunks(images, actions, exist, ~exist, torch.arange(6) % len(TASKS))
 
 
 def losses(network: act.ACTNetwork, samples: Chunks) -> dict[str, float]:

@@ -35,7 +35,7 @@ def batch() -> Chunks:
     actions = torch.randint(-1, 2, (3, LENGTH, 3), generator=generator).float()
     exist = torch.ones(3, LENGTH, dtype=torch.bool)
     exist[1, 2:] = False  # and yet they are learned
-    return Chunks(images, actions, exist, torch.arange(3) % len(TASKS))
+    return Chunks(images, actions, exist, ~exist, torch.arange(3) % len(TASKS))
 
 
 def test_the_schedule_is_the_published_cosine_up_to_its_last_levels() -> None:
@@ -102,6 +102,17 @@ def test_training_adds_noise_of_all_levels_and_keeps_the_variance() -> None:
     noise = (noisy - alphas.sqrt() * many.actions) / (1.0 - alphas).sqrt()
     assert noise.mean().item() == pytest.approx(0.0, abs=0.03)
     assert noise.std().item() == pytest.approx(1.0, abs=0.03)
+
+
+def test_unknown_actions_are_not_learned() -> None:
+    network = make_policy(config())
+    network.trunk = _Brightness()  # type: ignore[assignment]
+    unknown = batch()._replace(padded=torch.zeros(3, LENGTH, dtype=torch.bool))
+    predicted = unknown.actions.clone().requires_grad_()
+    network.denoiser = Counting(predicted + 0.5)  # type: ignore[assignment]
+    torch.autograd.backward(diffusion_losses(network, unknown)["loss"])
+    assert predicted.grad is not None
+    assert torch.equal(predicted.grad != 0.0, unknown.exist[..., None].expand(-1, -1, 3))
 
 
 class _Brightness(nn.Module):

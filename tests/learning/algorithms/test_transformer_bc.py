@@ -1,5 +1,6 @@
 """Behavioural cloning with memory: windows, what is attended to, and what a policy remembers."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -68,6 +69,18 @@ def test_windows_end_at_samples_and_begin_at_the_demonstrations() -> None:
         assert batch.before[row].tolist()[missing:] == earlier
         lengths.add(len(until))
     assert lengths == {1, 2, 3, 4}
+
+
+def test_the_actions_before_are_those_that_were_executed() -> None:
+    trajectory = replace(
+        picture_demo("MoveToCorner", 0, [3, 9, 5]), expert_actions=np.array([3, 4, 5])
+    )
+    data = ExpertData([("MoveToCorner", trajectory)], TASKS[:1], PRESETS["LoRes4E"])
+    batch = sample_windows(config(tasks=TASKS[:1], batch_size=16), data, 0)
+    (last,) = np.flatnonzero(batch.actions[:, -1] == 5)[:1]
+    assert batch.actions[last, -3:].tolist() == [3, 4, 5]
+    assert batch.before[last, -3:].tolist() == [NOOP, 3, 9]
+    assert batch.exist[last, -3:].all()
 
 
 def test_a_window_is_augmented_in_one_way() -> None:

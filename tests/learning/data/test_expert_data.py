@@ -95,6 +95,21 @@ def test_neighbours_are_on_the_same_side_of_what_a_policy_did() -> None:
     assert exist.sum(axis=1).tolist() == [2, 2, 2, 3, 2]
 
 
+def test_what_follows_another_action_than_the_label_does_not_continue_it() -> None:
+    """The fourth label is a no-op, and left out, but another action was executed there."""
+    trajectory = replace(
+        picture_demo("MoveToCorner", 0, [3, 9, 5, 8, 6, 7]),
+        expert_actions=np.array([3, 4, 5, 0, 6, 7]),
+    )
+    demos = [("MoveToCorner", trajectory)]
+    data = ExpertData(demos, ["MoveToCorner"], PRESETS["LoRes4E"], remove_noops=True)
+    assert data.actions.tolist() == [3, 4, 5, 6, 7]
+    assert data.executed.tolist() == [3, 9, 5, 6, 7]
+    assert data.is_last.tolist() == [False] * 4 + [True]
+    found, _ = data.neighbours(np.arange(5), np.array([-2, -1, 1, 2]))
+    assert found.tolist() == [[0, 0, 1, 1], [0, 0, 1, 1], [0, 1, 2, 2], [1, 2, 4, 4], [2, 3, 4, 4]]
+
+
 def test_nothing_but_noops_is_an_error() -> None:
     task, nothing = "MoveToCorner", picture_demo("MoveToCorner", 0, [0, 0, 0])
     with pytest.raises(DemonstrationsError, match="MoveToCorner: expected demonstrated actions"):

@@ -47,6 +47,25 @@ def test_a_chunk_has_the_next_actions_that_are_no_noops_up_to_the_end(space: Any
     assert batch.actions.dtype == (torch.int64 if space == "discrete" else torch.float32)
 
 
+def test_what_follows_another_action_than_the_label_is_unknown() -> None:
+    trajectory = replace(
+        picture_demo("MoveToCorner", 0, [3, 9, 5, 6]), expert_actions=np.array([3, 4, 5, 6])
+    )
+    data = ExpertData([("MoveToCorner", trajectory)], TASKS[:1], PRESETS["LoRes4E"])
+    config = ACTConfig.preset("quick", tasks=TASKS[:1], demos="", batch_size=64, chunk=3)
+    batch = sample_chunks(config, data, 0)
+    found = {
+        tuple(map(tuple, torch.stack(each, dim=1).tolist()))
+        for each in zip(*batch[1:4], strict=True)
+    }
+    assert found == {  # pairs of an action, whether it exists, whether it is padding
+        ((3, 1, 0), (4, 1, 0), (4, 0, 0)),
+        ((4, 1, 0), (4, 0, 0), (4, 0, 0)),
+        ((5, 1, 0), (6, 1, 0), (6, 0, 1)),
+        ((6, 1, 0), (6, 0, 1), (6, 0, 1)),
+    }
+
+
 class Counting(nn.Module):
     """Chunks whose actions tell the frame's brightness, and their positions in the chunk."""
 

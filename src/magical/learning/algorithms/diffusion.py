@@ -166,7 +166,10 @@ def cosine_schedule(levels: int) -> Tensor:
 
 
 def diffusion_losses(network: DiffusionNetwork, batch: Chunks) -> dict[str, Tensor]:
-    """The loss to be minimised: the mean squared error of the denoised actions."""
+    """The loss to be minimised: the mean squared error of the denoised actions.
+
+    Actions that are repeated beyond a demonstration's end are learned, unknown ones are not.
+    """
     actions = batch.actions
     levels = torch.randint(NOISE_LEVELS, (len(actions),), device=actions.device)
     noise = torch.randn_like(actions)
@@ -174,7 +177,8 @@ def diffusion_losses(network: DiffusionNetwork, batch: Chunks) -> dict[str, Tens
     noisy = alphas.sqrt() * actions + (1.0 - alphas).sqrt() * noise
     features = network.features(batch.images, batch.tasks)
     predicted = network.denoiser(noisy, levels, features).float()
-    return {"loss": functional.mse_loss(predicted, actions)}
+    known = (batch.exist | batch.padded)[..., None]
+    return {"loss": functional.mse_loss(predicted, actions.where(known, predicted.detach()))}
 
 
 class DiffusionPolicy(ChunkPolicy):

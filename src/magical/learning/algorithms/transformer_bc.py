@@ -69,7 +69,7 @@ class Windows(NamedTuple):
     """Windows of L consecutive samples of demonstrations."""
 
     images: Tensor  # (B, L, C, H, W) float32 in [0, 1]
-    before: Tensor  # (B, L) int64: the actions taken before the observations
+    before: Tensor  # (B, L) int64: the actions executed before the observations
     actions: Tensor  # (B, L) int64
     exist: Tensor  # (B, L) bool: false before a demonstration's start
     tasks: Tensor  # (B,) int64
@@ -158,7 +158,7 @@ def sample_windows(config: TransformerBCConfig, data: ExpertData, number: int) -
     images = data.augmented(rows.ravel(), config.fitting.augmentations, rng, together=config.window)
     actions, tasks = data.labels(rows)
     previous, has_previous = data.neighbours(rows.ravel(), np.array([-1]))
-    before, _ = data.labels(previous[:, 0])
+    before = data.executed[torch.from_numpy(previous[:, 0]).to(data.device)]
     before[torch.from_numpy(~has_previous[:, 0]).to(before.device)] = NOOP
     return Windows(
         images.view(*rows.shape, *images.shape[1:]),

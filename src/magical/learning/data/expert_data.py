@@ -110,6 +110,8 @@ class ExpertData:
 
     Attributes:
         actions: (S,) int64, the trajectories' labels; (S, 3) float32 if continuous.
+        executed: like `actions`, the executed actions, which differ in perturbed steps.
+        is_last: (S,) bool, whether a sample is the last of its trajectory.
         tasks: (S,) int64, positions in `task_names`.
     """
 
@@ -144,17 +146,18 @@ class ExpertData:
         steps = [np.flatnonzero(of_one) for of_one in kept]
         lengths = [len(s) for s in steps]
         self._bounds = _bounds(trajectories, steps)  # (2, S)
+        self.is_last = np.isin(np.arange(sum(lengths)), np.cumsum(lengths) - 1)
         first = np.cumsum([0, *map(len, trajectories[:-1])])  # index of each one's first frame
         self._stacks = []  # for each component: (S, frames), indices of frames, oldest first
         for component in spec.components:
             parts = map(stack_indices, steps, repeat(component.frames))
             stacks = np.concatenate([n + part for n, part in zip(first, parts, strict=True)])
             self._stacks.append(torch.from_numpy(stacks).to(device))
-        actions = np.concatenate([t.labels for t in trajectories])[np.concatenate(kept)]
-        if actions.dtype != np.int64:
-            actions = actions.astype(np.float32)
+        labels = [t.labels[some] for t, some in zip(trajectories, steps, strict=True)]
+        executed = [t.actions[some] for t, some in zip(trajectories, steps, strict=True)]
+        self.actions, self.executed = (_to_tensor(parts).to(device) for parts in (labels, executed))
         tasks = np.repeat([task_names.index(name) for name in names], lengths)
-        self.actions, self.tasks = (torch.from_numpy(v).to(device) for v in (actions, tasks))
+        self.tasks = torch.from_numpy(tasks).to(device)
         self._rows = [np.flatnonzero(tasks == number) for number in range(len(task_names))]
         for name, rows in zip(task_names, self._rows, strict=True):
             if not len(rows):
@@ -222,7 +225,8 @@ class ExpertData:
         """Samples at offsets (K,) from the given ones, and whether each exists: both (B, K).
 
         Offsets count samples of the same trajectory. They are clipped at its ends, and at steps in
-        which a policy acted on its own.
+        which a policy acted on its own. Positive ones are also clipped after a step whose executed
+        action is not the label: the next label is for a state that the label does not lead to.
         """
         wanted = rows[:, None] + offsets
         first, last = self._bounds[:, rows, None]
@@ -251,17 +255,25 @@ class ExpertData:
 
 
 def _bounds(trajectories: Sequence[Trajectory], steps: Sequence[Rows]) -> Rows:
-    """The first and last sample of the uninterrupted stretch around each sample: (2, S).
+    """The first and the last neighbour of each sample: (2, S); see `ExpertData.neighbours`."""
+    demonstrated = [~each.is_demonstrated for each in trajectories]
+    continued = [np.append(False, ~each.is_intended[:-1]) for each in trajectories]
+    return np.stack([_extents(demonstrated, steps)[0], _extents(continued, steps)[1]])
 
-    A stretch ends with its trajectory, or at a step in which a policy acted on its own: what comes
-    after it does not continue the demonstration.
-    """
-    pairs = zip(trajectories, steps, strict=True)
-    stretches = [np.cumsum(~trajectory.is_demonstrated)[some] for trajectory, some in pairs]
+
+def _extents(breaks: Sequence[NDArray[np.bool_]], steps: Sequence[Rows]) -> Rows:
+    """The first and the last sample, (2, S), of the stretch without breaks around each sample."""
+    stretches = [np.cumsum(of_one)[some] for of_one, some in zip(breaks, steps, strict=True)]
     begins = np.concatenate([np.diff(of_one, prepend=-1) > 0 for of_one in stretches])
     sizes = np.diff(np.append(np.flatnonzero(begins), len(begins)))
     ends = np.cumsum(sizes)
     return np.repeat([ends - sizes, ends - 1], sizes, axis=1)
+
+
+def _to_tensor(actions: Sequence[Actions]) -> Tensor:
+    """Actions of all trajectories, as int64, or float32 if continuous."""
+    joined = np.concatenate(actions)
+    return torch.from_numpy(joined if joined.dtype == np.int64 else joined.astype(np.float32))
 
 
 def _noops(actions: Actions) -> NDArray[np.bool_]:

@@ -51,7 +51,8 @@ class Chunks(NamedTuple):
 
     images: Tensor  # (B, C, H, W) float32 in [0, 1]
     actions: Tensor  # (B, K) int64, or (B, K, 3) float32 if continuous
-    exist: Tensor  # (B, K) bool: false beyond the demonstration's end
+    exist: Tensor  # (B, K) bool: false beyond the demonstration's end, and after another action
+    padded: Tensor  # (B, K) bool: true beyond the demonstration's end
     tasks: Tensor  # (B,) int64
 
 
@@ -59,14 +60,16 @@ def sample_chunks(config: ChunkConfig, data: ExpertData, number: int) -> Chunks:
     """Batch `number`: depends only on the data, the configuration and the number.
 
     If no-ops have been left out of the data, a chunk has the next actions that are not no-ops.
-    Beyond a demonstration's end, its last action is repeated.
+    Beyond a demonstration's end, its last action is repeated. Where another action than the label
+    was executed, as in perturbed demonstrations, the rest of the chunk is unknown.
     """
     rng = stream(config.seed, Purpose.BATCHES, number)
     rows = data.sample(config.fitting.batch_size, rng)
     images = data.augmented(rows, config.fitting.augmentations, rng)
     chosen, exist = data.neighbours(rows, np.arange(config.chunks.chunk))
     actions, tasks = data.labels(chosen)
-    return Chunks(images, actions, torch.from_numpy(exist).to(data.device), tasks[:, 0])
+    masks = np.stack([exist, ~exist & data.is_last[chosen]])
+    return Chunks(images, actions, *torch.from_numpy(masks).to(data.device), tasks[:, 0])
 
 
 class ChunkPolicy(TrainedPolicy):

@@ -1,11 +1,11 @@
-"""Whether continuous ACT fails because its actions lie between the demonstrated ones.
+"""Whether policies with continuous actions fail because of how their actions are executed.
 
-    python -m studies.modern_baselines.rounding RUN [...]
+    python -m studies.modern_baselines.executing RUN [...]
 
-Evaluates each run on Demo and TestJitter, 50 rollouts with a nudge of 1e-3: with its actions as
-they are, with every part of an action rounded to the nearest value that the demonstrators could
-choose (drive and turn -1, 0 or 1, grip -1 or 1), and rounded with one step of each chunk executed
-instead of eight. Prints the means over runs for each task, and over tasks, as a Markdown table.
+Evaluates each run on Demo and TestJitter, 50 rollouts with a nudge of 1e-3: as it is, with one step
+of each chunk executed, with every part of an action rounded to the nearest value that the
+demonstrators could choose (drive and turn -1, 0 or 1, grip -1 or 1), and with both. Prints the
+means over runs for each task, and over tasks, as a Markdown table.
 """
 
 import sys
@@ -24,7 +24,12 @@ from magical.tasks import Horizon, get_task
 
 VARIANTS = ("Demo", "TestJitter")
 ROLLOUTS, NUDGE = 50, 1e-3
-WAYS = ("as they are", "rounded", "rounded, one step a chunk")
+WAYS = {  # whether actions are rounded, and which settings are replaced
+    "as it is": (False, {}),
+    "one step a chunk": (False, {"execute": 1}),
+    "rounded": (True, {}),
+    "rounded, one step a chunk": (True, {"execute": 1}),
+}
 
 
 class Rounded:
@@ -49,14 +54,13 @@ class Rounded:
 def scores(run: str) -> tuple[str, list[float]]:
     """A run's task, and its mean scores, for each way the variants."""
     found = []
-    for way in WAYS:
+    for rounded, replaced in WAYS.values():
         policy = load_policy(run, "cpu")
-        if way == WAYS[2]:
-            policy.config = policy.config.replace(execute=1)
+        policy.config = policy.config.replace(**replaced)
         (task,) = policy.tasks
         horizon: Horizon = "published" if get_task(task).has_two_horizons else None
         env_ids = [EnvId(task, variant) for variant in VARIANTS]
-        acting = policy if way == WAYS[0] else Rounded(policy)
+        acting = Rounded(policy) if rounded else policy
         rows = evaluate(acting, env_ids, rollouts=ROLLOUTS, nudge=NUDGE, horizon=horizon, workers=0)
         found += [
             float(np.mean([row.score for row in rows if row.env_id == env_id]))
