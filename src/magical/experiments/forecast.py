@@ -121,8 +121,7 @@ def _way(config: Config) -> Way:
     from magical.learning.running.devices import choose_compute, choose_device
 
     device = choose_device(config.device)
-    threads = config.threads or int(config.observes_vectors and config.environment_steps > 0)
-    compute = choose_compute(device, config.network_precision, threads)
+    compute = choose_compute(device, config.network_precision, config.num_threads)
     threads = compute.threads if device == "cpu" else 0
     networks = config.part(EncoderSettings)
     network = networks.network if networks else "paper"

@@ -123,7 +123,7 @@ class Config(Settings):
     )
     threads: int = option(
         0,
-        "CPU threads; 0: PyTorch's default",
+        "CPU threads; 0: PyTorch's default, or 1 for state vectors in environments",
         (lambda number: 0 <= number <= MAX_THREADS, f"a number from 0 to {MAX_THREADS}"),
     )
     checkpoint_every: int = option(
@@ -183,6 +183,11 @@ class Config(Settings):
     def num_updates(self) -> int:
         """The number of steps (batches or updates) in a whole run; every subclass defines it."""
         raise NotImplementedError(f"{type(self).__name__} defines no num_updates")
+
+    @property
+    def num_threads(self) -> int:
+        """CPU threads to train with; 0: PyTorch's default."""
+        return self.threads
 
     @property
     def training_samples(self) -> int:

@@ -148,6 +148,11 @@ def test_what_the_callback_raises_ends_a_run_that_can_be_resumed(
     assert same_weights(tmp_path / "run", tmp_path / "whole")
 
 
+def test_stopping_after_no_step_is_refused(demos: Path, tmp_path: Path) -> None:
+    with pytest.raises(InvalidConfigError, match="stop_after: expected a positive number, found 0"):
+        train(tiny(demos), tmp_path / "run", stop_after=0)
+
+
 def damage(path: Path) -> None:
     content = bytearray(path.read_bytes())
     content[-100] ^= 1
@@ -332,6 +337,19 @@ def test_a_run_is_fine_tuned_from_the_trunk_of_another(demos: Path, tmp_path: Pa
     details = evaluation_details(str(tmp_path / "after"), tmp_path)
     assert details["learned_from"] == ["demonstrations", "extra data"]
     assert (details["pretrained_on"], details["num_demos"]) == (list(TASKS), 1)
+
+
+def test_rendered_states_are_recorded_only_if_states_were_rendered(
+    demos: Path, expert_demos: Path, tmp_path: Path
+) -> None:
+    given = {"transform": "palette", "num_demos": 2}
+    for name, config, expected in (
+        ("frames", tiny(demos, **given), ["demonstrations"]),
+        ("poses", tiny(expert_demos, tasks=("FixColour",), **given),
+         ["demonstrations", "rendered states"]),
+    ):  # fmt: skip
+        train(config, tmp_path / name)
+        assert evaluation_details(str(tmp_path / name), tmp_path)["learned_from"] == expected
 
 
 def test_what_cannot_be_fine_tuned_is_refused(demos: Path, tmp_path: Path) -> None:

@@ -116,6 +116,21 @@ def test_scores_and_final_values_are_of_the_tasks_whose_episodes_end(
     assert len(rollout.actions.unique(dim=0)) > 20  # type: ignore[no-untyped-call]
 
 
+def test_observations_may_be_views_with_gaps(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen = []
+
+    def scripted(observations: torch.Tensor, tasks: torch.Tensor) -> Any:
+        seen.append(observations)
+        return torch.zeros(len(tasks), 18), torch.zeros(len(tasks))
+
+    with RolloutEnvs(tiny(PPOConfig, num_envs=2, workers=0), "cpu") as envs:
+        whole = envs._network_input
+        monkeypatch.setattr(envs, "_network_input", lambda images: whole(images)[:, 9:])
+        envs.reset()
+        rollout = collect_rollout(envs, scripted, 3, False, rng())
+    assert torch.equal(to_unit(rollout.observations), torch.stack(seen[:3]))
+
+
 def test_environments_start_at_different_times() -> None:
     config = tiny(PPOConfig, observation="state", num_envs=8)
     with RolloutEnvs(config, "cpu") as envs:
@@ -210,6 +225,7 @@ def test_a_collapse_is_logged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     [
         ({"gamma": 1.5}, "gamma"),
         ({"total_steps": 0}, "total_steps"),
+        ({"total_steps": 5, "num_envs": 2, "num_steps": 3}, "total_steps: expected at least the 6"),
         ({"num_envs": 1, "tasks": ("MoveToCorner", "MoveToRegion")}, "num_envs"),
         ({"ent_coef": -1.0}, "ent_coef"),
         ({"workers": -1}, "workers"),

@@ -165,7 +165,7 @@ class ObjectPolicy(nn.Module):
         """Logits (B, 18) of the actions that bring targets (B,) to destinations (B, 2).
 
         If a block is left to move and the robot is still at its earlier pose `before` (B, 3), it is
-        stuck and acts more randomly.
+        stuck and acts more randomly; so it does in an episode's first step, which has no other.
         """
         with torch.autocast(table.robot.device.type, enabled=False):
             inputs = control_inputs(table, targets, destinations, *self.ranges)

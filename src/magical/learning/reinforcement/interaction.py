@@ -29,7 +29,7 @@ class InteractionSettings(Settings):
     @property
     def num_updates(self) -> int:
         """Updates of the policy in a whole run."""
-        return max(1, self.total_steps // self.steps_per_update)
+        return self.total_steps // self.steps_per_update
 
     @property
     def env_horizon(self) -> Horizon:
@@ -43,6 +43,11 @@ class InteractionConfig(Config):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.interaction.num_updates < 1:
+            raise InvalidConfigError(
+                f"total_steps: expected at least the {self.interaction.steps_per_update} of one "
+                f"update (num_envs x num_steps), found {self.interaction.total_steps}"
+            )
         if self.interaction.num_envs < len(self.tasks):
             raise InvalidConfigError(
                 f"num_envs: expected at least one for each of {len(self.tasks)} tasks, "
@@ -72,6 +77,11 @@ class InteractionConfig(Config):
     def num_updates(self) -> int:
         """Updates of the policy in a whole run."""
         return self.interaction.num_updates
+
+    @property
+    def num_threads(self) -> int:
+        """See `Config`."""
+        return self.threads or int(self.observes_vectors)
 
     @property
     def environment_steps(self) -> int:

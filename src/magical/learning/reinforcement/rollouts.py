@@ -135,8 +135,8 @@ def collect_rollout(
     """
     shape, device = (num_steps, len(envs.tasks)), envs.device  # (T, N)
     uniforms = torch.from_numpy(rng.random(shape, np.float32)).to(device)
-    first = envs.observations()
-    observations = torch.empty_strided(  # in the memory layout of the environments
+    first = torch.empty_like(envs.observations())  # in their memory layout, but without gaps
+    observations = torch.empty_strided(
         (num_steps, *first.shape),
         (first.numel(), *first.stride()),
         dtype=first.dtype,

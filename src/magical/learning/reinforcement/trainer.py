@@ -50,8 +50,7 @@ class InteractionTrainer:
         self.device = choose_device(config.device)
         self.network = network.to(self.device)
         self.optimizer = Adam(self.network.parameters(), learning_rate, fused=True)
-        threads = config.threads or int(config.observes_vectors)
-        self.compute = run.compute(self.device, config.network_precision, threads)
+        self.compute = run.compute(self.device, config.network_precision, config.num_threads)
         self.monitor = Monitor()
         self._reward = reward
 
