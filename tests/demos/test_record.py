@@ -7,7 +7,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from gymnasium.wrappers import RecordEpisodeStatistics, TransformAction
+from gymnasium.wrappers import Autoreset, RecordEpisodeStatistics, TimeLimit, TransformAction
 
 from magical.demos import Dataset, RecordTrajectories
 from magical.demos.replay import replay
@@ -71,6 +71,26 @@ def test_wrappers_inside_and_around(tmp_path: Path) -> None:
         env.step(action)
     (trajectory,) = Dataset.open(tmp_path / "d")
     assert trajectory.actions.tolist() == [17, 16, 15, 14, 13, 12]
+
+
+def test_an_episode_that_a_wrapper_ends_is_stored_once(tmp_path: Path) -> None:
+    env = RecordTrajectories(TimeLimit(make(), 2), tmp_path / "d", demonstrator="x")
+    env.reset(seed=0)
+    assert [env.step(1)[3] for _ in range(2)] == [False, True]
+    with pytest.raises(TrajectoryError, match="reset"):
+        env.step(1)
+    (stored,) = Dataset.open(tmp_path / "d")
+    assert len(stored) == 2
+
+
+def test_episodes_that_a_wrapper_resets_are_stored(tmp_path: Path) -> None:
+    env = RecordTrajectories(Autoreset(make(horizon=2)), tmp_path / "d", demonstrator="x")
+    env.reset(seed=4)
+    for _ in range(6):  # two steps, and one that resets
+        env.step(1)
+    first, second = Dataset.open(tmp_path / "d")
+    assert (first.seed, second.seed, len(first), len(second)) == (4, None, 2, 2)
+    assert [replay(t).departure for t in (first, second)] == [0.0, 0.0]
 
 
 @pytest.mark.parametrize("later", [lambda env: env.step(0), lambda env: env.reset(seed=1)])

@@ -1,5 +1,6 @@
 """Scores and entries on disk, and summed up."""
 
+import errno
 import json
 import os
 from pathlib import Path
@@ -23,6 +24,7 @@ from magical.evaluation import (
     summarise,
     write_scores,
 )
+from magical.evaluation import entry as entries
 from magical.evaluation.expert import ExpertPolicy
 
 SCORES = [
@@ -97,6 +99,24 @@ def test_entries_are_read_back_and_keep_what_their_authors_added(tmp_path: Path)
         Entry(method="another", scores=SCORES, nudge=0, details=details).write(tmp_path)
     assert read_entry(tmp_path).details == {"policy": "a.py:p"}
     assert read_entry(tmp_path).nudge == 0.0
+
+
+def test_a_full_disk_leaves_the_previous_entry(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = Entry(method="mine", scores=SCORES, nudge=0.0)
+    before.write(tmp_path)
+
+    def full(*args: object) -> None:
+        raise OSError(errno.ENOSPC, "no space left on device")
+
+    for where in ("write_scores", "write_atomically"):
+        with monkeypatch.context() as patch:
+            patch.setattr(entries, where, full)
+            with pytest.raises(OSError, match="no space"):
+                Entry(method="mine", scores=SCORES[:1], nudge=0.01).write(tmp_path)
+        found = read_entry(tmp_path)
+        assert (found.nudge, len(found.scores)) == (0.0, len(SCORES))
 
 
 @pytest.mark.parametrize(

@@ -99,10 +99,10 @@ def test_mean_agrees_with_scipy() -> None:
 
 
 def test_interquartile_mean_leaves_out_a_quarter_at_either_end() -> None:
-    # 0.4 and 0.6 are left; the winsorised scores 0.4, 0.4, 0.6, 0.6 have the standard deviation
-    # 0.2 / sqrt(3), and the error is that over half the square root of 4.
-    found = stats.interquartile_mean([[0.0], [0.4], [0.6], [1.0]])
-    assert found == approximately(around(0.5, T3 * 0.2 / math.sqrt(3)))
+    # Two of 0.4 and two of 0.6 are left; the winsorised scores, four of each, have the standard
+    # deviation 0.1 sqrt(8 / 7), and the error is that over half the square root of 8.
+    found = stats.interquartile_mean([[s] for s in (0.0, 0.1, 0.4, 0.4, 0.6, 0.6, 0.9, 1.0)])
+    assert found == approximately(around(0.5, T3 * 0.2 / math.sqrt(7)))
 
 
 def test_interquartile_mean_rounds_the_quarter_down_and_pools_environments() -> None:

@@ -54,6 +54,12 @@ def test_after_a_minute_the_episode_is_dropped(players: Players) -> None:
     assert len(players) == 1
 
 
+def test_a_session_that_was_never_connected_is_dropped(players: Players) -> None:
+    players.find_or_add(None, 0.0)
+    players.drop_expired(1.0 + RESUME_TIME)
+    assert not len(players)
+
+
 def test_an_episode_that_is_being_stored_is_not_dropped(players: Players) -> None:
     player, connection = playing(players, 0.0)
     player.session.phase = Phase.SAVING

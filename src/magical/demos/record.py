@@ -67,21 +67,27 @@ class RecordTrajectories(gym.Wrapper[Any, Any, Any, Any]):
     ) -> tuple[Any, dict[str, Any]]:
         """Reset the environment, and start recording an episode."""
         result = super().reset(seed=seed, options=options)
-        self._seed = seed
-        state = self._inner.state()
-        self._scene, self._poses = state.scene, [state.poses.bodies]
+        self._start(seed)
         return result
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """Step the environment; at the end of the episode, store it."""
         result = super().step(action)
         state = self._inner.state()
+        if state.step == 0:  # a wrapper inside this one has reset the environment
+            self._start(seed=None)
+            return result
         if state.scene is not self._scene:  # `set_state` makes a new one, even for the same episode
             raise TrajectoryError("the episode was not recorded from its start; reset() first")
         self._poses.append(state.poses.bodies)
         if result[2] or result[3]:
             self._store()
+            self._scene = None
         return result
+
+    def _start(self, seed: int | None) -> None:
+        state = self._inner.state()
+        self._scene, self._poses, self._seed = state.scene, [state.poses.bodies], seed
 
     def _store(self) -> None:
         trajectory = recorded_trajectory(

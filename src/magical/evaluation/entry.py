@@ -142,9 +142,11 @@ class Entry(_EntryFile):
         one lacks are kept. Raises what `merged` raises, before anything is written.
         """
         text = self.merged(folder)._json(Path(folder) / ENTRY_FILE)
-        write_scores(self.scores, Path(folder) / SCORES_FILE)
         with write_atomically(Path(folder) / ENTRY_FILE) as file:
             file.write(text.encode())
+            file.flush()
+            # Within, so that without space on the disk both files stay as they were.
+            write_scores(self.scores, Path(folder) / SCORES_FILE)
 
     def merged(self, folder: Path | str) -> "Entry":
         """The entry that `write` would write, which may be called before scores are computed.

@@ -28,6 +28,7 @@ from magical.evaluation.intervals import (
     rollout_mean,
     t_interval,
     weighted_sum,
+    welch_interval,
     wilson_interval,
 )
 from magical.evaluation.scores import RolloutScore
@@ -133,15 +134,19 @@ def interquartile_mean(scores: ArrayLike, confidence: float = CONFIDENCE) -> Int
 
     A quarter of the scores, rounded down, is left out at each end. The t interval over runs is
     that of Tukey and McLaughlin (1963): a run's contribution is the sum of its winsorised scores.
-    Arguments and errors as for `mean`.
+    In one environment, where each score is a run's, its degrees of freedom are those of the scores
+    that are left. Arguments and errors as for `mean`.
     """
     table = _table(scores)
     pooled = np.sort(table[~np.isnan(table)])
     cut = len(pooled) // 4
     middle = pooled[cut : len(pooled) - cut]
     winsorised = np.clip(table, middle[0], middle[-1])
-    strata = _by_stratum(table, np.nansum(winsorised, axis=1) / len(middle))
-    return t_interval(float(middle.mean()), strata, confidence, (0.0, 1.0))
+    value, contributions = float(middle.mean()), np.nansum(winsorised, axis=1) / len(middle)
+    if table.shape[1] > 1 or len(table) == 1:
+        return t_interval(value, _by_stratum(table, contributions), confidence, (0.0, 1.0))
+    variance = len(table) * contributions.var(ddof=1)
+    return welch_interval(value, [variance], len(middle) - 1.0, confidence, (0.0, 1.0))
 
 
 def optimality_gap(scores: ArrayLike, confidence: float = CONFIDENCE) -> Interval:

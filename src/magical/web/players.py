@@ -13,11 +13,11 @@ KEY_BYTES = 16  # random bytes in the key that resumes a session
 class Player:
     """A session with its key and the connection that owns it."""
 
-    def __init__(self, key: str, session: Session) -> None:
+    def __init__(self, key: str, session: Session, now: float) -> None:
         self.key = key
         self.session = session
         self._connections = 0  # number so far; the newest one owns the session
-        self._left_at: float | None = None  # when the connection was lost; None: connected
+        self._left_at: float | None = now  # since when there is no connection; None: connected
 
     def connect(self, now: float) -> int:
         """Give the session to a new connection; returns the connection's number."""
@@ -76,7 +76,7 @@ class Players:
                 f"all {self._limit} environments of this server are in use; try again later, or "
                 "ask for a larger --max-players"
             )
-        player = Player(secrets.token_urlsafe(KEY_BYTES), self._make_session(now))
+        player = Player(secrets.token_urlsafe(KEY_BYTES), self._make_session(now), now)
         self._players[player.key] = player
         return player
 

@@ -2,6 +2,7 @@
 
 import io
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -49,6 +50,18 @@ def test_a_video_of_nothing_is_refused(make_trajectory: MakeTrajectory, tmp_path
         write_video([], str(tmp_path / "a.webp"))
     assert not list(tmp_path.iterdir())
     assert write_video([make_trajectory(steps=1)], str(tmp_path / "a.WEBP")) > 0
+
+
+def test_a_video_of_different_views_is_refused(
+    make_frames_trajectory: MakeTrajectory, tmp_path: Path
+) -> None:
+    both = make_frames_trajectory()
+    assert both.frames is not None
+    one = replace(both, frames={"ego": both.frames["ego"]})
+    with pytest.raises(DatasetError, match="expected trajectories with the same views"):
+        write_video([both, one], tmp_path / "a.webp")
+    assert not list(tmp_path.iterdir())
+    assert write_video([one, one], tmp_path / "a.webp") > 0
 
 
 def test_video_has_both_views_and_the_score(make_frames_trajectory: MakeTrajectory) -> None:

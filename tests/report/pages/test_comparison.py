@@ -67,6 +67,8 @@ def test_unknown_methods_and_nothing_in_common_are_refused(results: Path) -> Non
         compare(found, "a", "d")
     with pytest.raises(UnknownNameError, match="environment in common"):
         compare(found, "a", "c")
+    with pytest.raises(UnknownNameError, match="two different methods, found 'a' twice"):
+        compare(found, "a", "a")
 
 
 def test_the_command_writes_a_page(results: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -38,7 +38,8 @@ def write_video(trajectories: Iterable[Trajectory], path: Path | str) -> int:
     Raises:
         UnknownNameError: the suffix is neither.
         MissingDependencyError: the extra is not installed.
-        DatasetError: there are no trajectories, or more than `MAX_WEBP_FRAMES` frames for `.webp`.
+        DatasetError: there are no trajectories, they have different views, or there are more than
+            `MAX_WEBP_FRAMES` frames for `.webp`.
         OSError: the file cannot be written; no partial file remains.
     """
     target = Path(path)
@@ -51,7 +52,14 @@ def write_video(trajectories: Iterable[Trajectory], path: Path | str) -> int:
     if (first := next(frames, None)) is None:
         raise DatasetError(f"{target}: expected trajectories to show, found none")
     write = _write_mp4 if suffix == ".mp4" else _write_webp
-    return write(chain([first], frames), target)
+    return write(_of_one_size(chain([first], frames), first.shape), target)
+
+
+def _of_one_size(frames: Iterable[Image], shape: tuple[int, ...]) -> Iterator[Image]:
+    for frame in frames:
+        if frame.shape != shape:
+            raise DatasetError("expected trajectories with the same views, found different ones")
+        yield frame
 
 
 def video_frames(trajectory: Trajectory) -> Iterator[Image]:

@@ -57,8 +57,11 @@ class ComparisonPage:
 def compare(results: Sequence[Result], first: str, second: str) -> ComparisonPage:
     """Compare two methods on the environments that both have, with the appendix's scoring rule.
 
-    Raises `UnknownNameError` if a method is unknown or they have no environment in common.
+    Raises `UnknownNameError` if a method is unknown, both are the same, or they have no environment
+    in common.
     """
+    if first == second:
+        raise UnknownNameError(f"--compare: expected two different methods, found {first!r} twice")
     chosen = [_of_method(results, name) for name in (first, second)]
     methods = compared_methods(result.entry for runs in chosen for result in runs)
     if len(methods) < 2:
