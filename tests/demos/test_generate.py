@@ -140,3 +140,5 @@ def test_repeated_demonstrations_are_reported_and_a_series_can_go_on(
     ]
     assert main(argv) == 0
     assert "demonstrations that duplicate earlier ones: 2" in capsys.readouterr().err
+    assert main([*argv, "--first", "8"]) == 0
+    assert "that duplicate earlier ones" not in capsys.readouterr().err

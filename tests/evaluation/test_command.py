@@ -76,6 +76,12 @@ def test_a_policy_with_wrong_outputs_says_what_was_expected(
     assert status == 1
     assert "policy: act(): actions: expected 60 integers from 0 to 17, found <array" in err
     assert "f64>; sample or take the argmax" in err
+    (tmp_path / "two.py").write_text("def two(observations, env_ids):\n    return 0\n")
+    status, _, err = evaluate(capsys, f"{tmp_path / 'two.py'}:two", "--task", "MoveToRegion")
+    assert (status, "or a function (observations, env_ids, rng) -> actions, found" in err) == (
+        1,
+        True,
+    )
     pytest.importorskip("torch", reason="the learning extra is not installed")
     status, _, err = evaluate(capsys, str(tmp_path))
     assert status == 1
@@ -91,6 +97,8 @@ def test_out_holds_an_entry(capsys: pytest.CaptureFixture[str], tmp_path: Path) 
     assert (entry.method, entry.seed, entry.nudge) == ("dice", 3, 1e-9)
     assert entry.horizon == "appendix"  # whose number of steps was given
     assert [row.seed for row in entry.scores] == [1_003_000_000, 1_003_000_001]
+    _, _, err = evaluate(capsys, "random", *argv, "--out", str(tmp_path))
+    assert f"replaces the scores in {tmp_path}: 2 rollouts in 1 environments, nudge 1e-09" in err
 
 
 @pytest.mark.parametrize(
@@ -128,7 +136,7 @@ def test_what_cannot_be_written_or_verified_is_refused_before_anything_runs(
     status, _, err = evaluate(capsys, *argv, "--out", str(tmp_path / "file"))
     assert (status, "expected a folder, found a file" in err) == (1, True)
     status, _, err = evaluate(capsys, *argv, "--observation", "LoRes4E")
-    assert (status, "the policy states its own, LoRes4A" in err) == (2, True)
+    assert (status, "the policy states its own observation, LoRes4A" in err) == (2, True)
 
 
 def test_one_command_writes_an_entry_that_ranks(

@@ -62,6 +62,8 @@ def test_environments_by_names(tasks: Any, variants: Any, message: str) -> None:
         "magical/MoveToRegion-Demo-v0",
         "magical/MoveToRegion-TestJitter-v0",
     ]
+    having = [env_id.task for env_id in environments(variants="Shape")]
+    assert having == [name for name, task in TASKS.items() if "TestShape" in task.variants]
     with pytest.raises(UnknownNameError, match=message):
         environments(tasks, variants)
 

@@ -29,6 +29,7 @@ from magical.commands._common import (
     print_json,
     print_table,
 )
+from magical.errors import MagicalError
 from magical.runs.sources import parse_source
 from magical.scene.constants import MAX_NUDGE
 from magical.tasks import parse_horizon
@@ -122,6 +123,7 @@ def run(args: argparse.Namespace) -> int:
         return USAGE
     if args.out:
         make_folder(args.out)  # an unwritable folder is noticed before the rollouts
+        _announce_replacement(args.out)
     with ProgressBar("rollouts", len(evaluation.env_ids) * args.rollouts) as bar:
         scores = roll_out(policy, evaluation, workers=args.workers, progress=bar.advance)
     print_scores(scores)
@@ -132,11 +134,24 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
+def _announce_replacement(folder: Path) -> None:
+    """Say what the folder's scores were; they are replaced when all rollouts are done."""
+    from magical.evaluation import read_entry
+
+    with suppress(MagicalError, OSError):
+        old = read_entry(folder)
+        env_ids = {row.env_id for row in old.scores}
+        log(
+            f"replaces the scores in {folder}: {len(old.scores)} rollouts in {len(env_ids)} "
+            f"environments, nudge {old.nudge:g}"
+        )
+
+
 def _misused(args: argparse.Namespace, policy: "Policy") -> str:
     """What is wrong with the options; empty if nothing is."""
     own = getattr(policy, "observation", None)
     if args.observation and own not in (None, args.observation):
-        return f"--observation {args.observation}: the policy states its own, {own}"
+        return f"--observation {args.observation}: the policy states its own observation, {own}"
     for option in ("leaderboard", "method", "learned_from", "looks"):
         value = getattr(args, option)
         if not args.out and value is not None and value is not False:

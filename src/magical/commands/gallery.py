@@ -33,12 +33,14 @@ def run(args: argparse.Namespace) -> int:
     """Check the folder, make the images, write the site."""
     from magical.evaluation import environments
     from magical.extras import require
+    from magical.files import make_folder
     from magical.progress import ProgressBar
     from magical.report.gallery import check_site, make_previews, write_gallery
 
     require("report")
     env_ids = environments(args.task)
     check_site(args.out)
+    make_folder(args.out)  # an unwritable folder is noticed before the rollouts
     previews = []
     with ProgressBar("environments", len(env_ids)) as bar:
         for preview in make_previews(env_ids, args.seed, args.workers):

@@ -113,6 +113,12 @@ def _as_policy(thing: Any, name: str = "policy") -> Policy:
             f"{name}: expected a class that can be instantiated without arguments, found "
             f"{thing.__name__}; name a function that makes it"
         )
+    try:
+        inspect.signature(thing).bind("observations", "env_ids", "rng")
+    except TypeError as error:
+        raise PolicyError(f"{name}: {_EXPECTED}, found {thing!r}: {error}") from error
+    except ValueError:  # compiled functions need not have a signature
+        pass
     return FunctionPolicy(thing)
 
 
@@ -126,7 +132,7 @@ def _needs_arguments(thing: Callable[..., Any]) -> bool:
     try:
         signature = inspect.signature(thing)
         signature.bind()
-    except (TypeError, ValueError):  # compiled functions need not have a signature
+    except (TypeError, ValueError):  # it needs arguments, or has no signature
         return True
     takes_any = any(p.kind is p.VAR_POSITIONAL for p in signature.parameters.values())
     return takes_any and not inspect.isclass(thing)

@@ -108,7 +108,8 @@ def environments(
 
     A single task or variant may be given as a string.
 
-    Raises `UnknownNameError` for unknown names, and for a task with none of the variants.
+    Raises `UnknownNameError` for unknown names, and for a task that is given and has none of the
+    variants.
     """
     tasks = [tasks] if isinstance(tasks, str) else tasks
     variants = [variants] if isinstance(variants, str) else variants
@@ -116,7 +117,7 @@ def environments(
     env_ids: list[EnvId] = []
     for task in map(get_task, TASKS if tasks is None else dict.fromkeys(tasks)):
         found = [name for name in task.variants if wanted is None or name in wanted]
-        if not found:
+        if not found and tasks is not None:
             known = ", ".join(map(short_variant, task.variants))
             raise UnknownNameError(
                 f"{task.name} has none of the variants {', '.join(sorted(wanted or ()))}; it has: "

@@ -51,7 +51,8 @@ def make_folder(path: Path) -> None:
     """Create a folder and its parents, if they are missing.
 
     Raises:
-        OSError: a folder cannot be created; if something else is in its place, the message says so.
+        OSError: a folder cannot be created, or not be written to; if something else is in its
+            place, the message says so.
     """
     try:
         path.mkdir(parents=True, exist_ok=True)
@@ -59,6 +60,8 @@ def make_folder(path: Path) -> None:
         found = Path(error.filename)
         what = "a broken symbolic link" if found.is_symlink() else "a file"
         raise FileExistsError(f"{found}: expected a folder, found {what}") from error
+    if not os.access(path, os.W_OK):
+        raise PermissionError(errno.EACCES, "the folder cannot be written to", str(path))
 
 
 def link_atomically(source: Path, target: Path) -> None:

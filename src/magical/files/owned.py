@@ -49,8 +49,8 @@ class OwnedFolder:
             )
         if path.exists() and not (path.is_dir() and all(map(unfinished, path.iterdir()))):
             raise self.error(
-                f"{path}: expected a new or an empty folder, found other things in it; choose "
-                "another one"
+                f"{path}: expected a new or an empty folder, found "
+                f"{'other things in it' if path.is_dir() else 'a file'}; choose another one"
             )
 
     @contextmanager

@@ -76,8 +76,9 @@ def learned_from(details: Mapping[str, Any]) -> tuple[str, ...]:
     stated = details.get(LEARNED_FROM)
     names = stated if isinstance(stated, list) else None
     if names is None or any(name not in SOURCES for name in map(str, names)):
+        found = "none; `evaluate --learned-from` states it" if stated is None else quoted(stated)
         raise ValueError(
             f"expected {LEARNED_FROM} in the details, a list of some of: {', '.join(SOURCES)}; "
-            f"found {'none' if stated is None else quoted(stated)}"
+            f"found {found}"
         )
     return tuple(name for name in SOURCES if name in names)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from magical.report.scores.tables import (
+    BESIDE,
     ONE_RUN,
     RUNS_APART,
     Cell,
@@ -26,7 +27,7 @@ def test_one_run_has_an_interval_over_rollouts() -> None:
     assert table.note == "Scored by the appendix's rule." + ONE_RUN
     same = task_table("MoveToRegion", [entry("mine", {"MoveToRegion-Demo": [1.0]})], ["BC (ST)"])
     rule = "On this task, the published code's rule and horizon are the same as the appendix's."
-    assert same.note == rule + ONE_RUN
+    assert same.note == rule + BESIDE + ONE_RUN
 
 
 def test_runs_of_a_method_share_a_row() -> None:

@@ -25,15 +25,22 @@ def run_generate(args: argparse.Namespace) -> int:
     ids = [parse_env_id(env_id).without_preset for env_id in args.env]
     names = ("seed", "first", "skill", "perturb", "min_score", "action_space", "workers")
     options = {name: getattr(args, name) for name in names}
-    with ProgressBar("generate", args.n * len(ids)) as bar:
-        reports = [
-            generate(env_id, args.n, args.out, progress=bar.advance, **options) for env_id in ids
-        ]
+    try:
+        with ProgressBar("generate", args.n * len(ids)) as bar:
+            reports = [
+                generate(env_id, args.n, args.out, progress=bar.advance, **options)
+                for env_id in ids
+            ]
+    except KeyboardInterrupt:
+        log(f"what was added to {args.out} stays there; --first continues a series")
+        raise
     print_table(
         ("environment", "kept", "dropped", "mean score"),
         [(r.env_id, r.kept, r.dropped, f"{sum(r.scores) / r.kept:.3f}") for r in reports],
     )
-    if copies := len(find_duplicates(Dataset.open(args.out).entries)):
+    entries = Dataset.open(args.out).entries
+    added = {entry.file for entry in entries[-sum(report.kept for report in reports) :]}
+    if copies := sum(later in added for later, _ in find_duplicates(entries)):
         log(
             f"warning: {args.out}: demonstrations that duplicate earlier ones: {copies}; in the "
             "same scene, an expert repeats itself unless its actions are perturbed (--perturb); "

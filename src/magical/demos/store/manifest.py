@@ -147,7 +147,8 @@ def read_entries(folder: Path) -> Iterator[ManifestEntry | DatasetError]:
     """
     path = folder / NAME
     if not os.path.lexists(path):
-        raise DatasetError(f"{folder}: expected a dataset, found no {NAME} in it")
+        found = f"no {NAME} in it" if folder.is_dir() else "no folder"
+        raise DatasetError(f"{folder}: expected a dataset, found {found}")
     with reading(path, DatasetError), open_regular(path) as file:
         yield from _parse_lines(path, file)
 

@@ -371,10 +371,12 @@ def load_pretrained(trunk: Trunk, config: BCConfig, run: Run) -> None:
             f"init_from: expected a run with the observation {config.observation}, found "
             f"{before.observation} in {folder}"
         )
-    if before.networks.conventions != config.networks.conventions:
-        raise InvalidConfigError(
-            f"init_from: expected a run with the same conventions, found others in {folder}"
-        )
+    for name in ("network", "conventions"):
+        wanted, found = (getattr(each.networks, name) for each in (config, before))
+        if found != wanted:
+            raise InvalidConfigError(
+                f"init_from: expected a run with the {name} {wanted}, found {found} in {folder}"
+            )
     network = load_policy(folder, "cpu").network
     with restoring(folder / CHECKPOINT):
         trunk.load_state_dict(network.get_submodule("trunk").state_dict())

@@ -22,6 +22,7 @@ ONE_RUN = (
     " In brackets: 95% intervals over the rollouts of one run, which do not include the spread "
     "between training runs."
 )
+BESIDE = " In parentheses: the difference from the published mean."
 APART, FEW = 0.5, 5  # at most FEW runs whose means are more than APART apart are listed singly
 RUNS_APART = (
     " Where some runs succeed and others fail, their means are listed in brackets. Intervals over "
@@ -123,6 +124,7 @@ def task_table(task: str, entries: Iterable[Entry], published: Iterable[str] = (
     note = _rule_note(found, compared)
     note += "" if compared else _horizon_note(found, runs)
     note += _left_out_note(found, other) if methods and other else ""
+    note += BESIDE if any(cell.difference for row in kept for cell in row.cells.values()) else ""
     note += ONE_RUN if one_run else ""
     note += RUNS_APART if any(cell.are_apart for row in kept for cell in row.cells.values()) else ""
     return ScoreTable(task, variants, kept, note, compared)
