@@ -69,7 +69,8 @@ def sample_chunks(config: ChunkConfig, data: ExpertData, number: int) -> Chunks:
     chosen, exist = data.neighbours(rows, np.arange(config.chunks.chunk))
     actions, tasks = data.labels(chosen)
     masks = np.stack([exist, ~exist & data.is_last[chosen]])
-    return Chunks(images, actions, *torch.from_numpy(masks).to(data.device), tasks[:, 0])
+    known, padded = torch.from_numpy(masks).to(data.device)
+    return Chunks(images, actions, known, padded, tasks[:, 0])
 
 
 class ChunkPolicy(TrainedPolicy):
