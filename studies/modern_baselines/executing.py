@@ -1,16 +1,18 @@
-"""Whether policies with continuous actions fail because of how their actions are executed.
+"""How scores of chunk policies with continuous actions depend on what of each chunk is executed.
 
-    python -m studies.modern_baselines.executing RUN [...]
+    python -m studies.modern_baselines.executing RUN [...] --execute N [...] [--round]
 
-Evaluates each run on Demo and TestJitter, 50 rollouts with a nudge of 1e-3: as it is, with one step
-of each chunk executed, with every part of an action rounded to the nearest value that the
-demonstrators could choose (drive and turn -1, 0 or 1, grip -1 or 1), and with both. Prints the
-means over runs for each task, and over tasks, as a Markdown table.
+Evaluates each run on Demo and TestJitter, 50 rollouts with a nudge of 1e-3, with N steps of each
+chunk executed; with --round also with every part of an action rounded to the nearest value that
+the demonstrators could choose (drive and turn -1, 0 or 1, grip -1 or 1). Prints the means over runs
+for each task, and over tasks, as a Markdown table.
 """
 
+import argparse
 import sys
 from collections import defaultdict
 from collections.abc import Sequence
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -24,12 +26,6 @@ from magical.tasks import Horizon, get_task
 
 VARIANTS = ("Demo", "TestJitter")
 ROLLOUTS, NUDGE = 50, 1e-3
-WAYS = {  # whether actions are rounded, and which settings are replaced
-    "as it is": (False, {}),
-    "one step a chunk": (False, {"execute": 1}),
-    "rounded": (True, {}),
-    "rounded, one step a chunk": (True, {"execute": 1}),
-}
 
 
 class Rounded:
@@ -51,31 +47,31 @@ class Rounded:
         return np.concatenate([np.rint(actions[:, :2]), grip], axis=1)
 
 
-def scores(run: str) -> tuple[str, list[float]]:
-    """A run's task, and its mean scores, for each way the variants."""
-    found = []
-    for rounded, replaced in WAYS.values():
-        policy = load_policy(run, "cpu")
-        policy.config = policy.config.replace(**replaced)
-        (task,) = policy.tasks
-        horizon: Horizon = "published" if get_task(task).has_two_horizons else None
-        env_ids = [EnvId(task, variant) for variant in VARIANTS]
-        acting = Rounded(policy) if rounded else policy
-        rows = evaluate(acting, env_ids, rollouts=ROLLOUTS, nudge=NUDGE, horizon=horizon, workers=0)
-        found += [
-            float(np.mean([row.score for row in rows if row.env_id == env_id]))
-            for env_id in env_ids
-        ]
-    return task, found
+def scores(run: str, execute: int, rounded: bool) -> list[float]:
+    """A run's mean scores on the variants."""
+    policy = load_policy(run, "cpu")
+    policy.config = policy.config.replace(execute=execute)
+    (task,) = policy.tasks
+    horizon: Horizon = "published" if get_task(task).has_two_horizons else None
+    env_ids = [EnvId(task, variant) for variant in VARIANTS]
+    acting = Rounded(policy) if rounded else policy
+    rows = evaluate(acting, env_ids, rollouts=ROLLOUTS, nudge=NUDGE, horizon=horizon, workers=0)
+    return [float(np.mean([row.score for row in rows if row.env_id == i])) for i in env_ids]
 
 
-def main(runs: Sequence[str]) -> None:
+def main(arguments: Sequence[str]) -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("runs", nargs="+", metavar="RUN")
+    parser.add_argument("--execute", nargs="+", type=int, required=True, metavar="N")
+    parser.add_argument("--round", action="store_true")
+    args = parser.parse_args(arguments)
+    ways = list(product((False, True) if args.round else (False,), args.execute))
     by_task: dict[str, list[list[float]]] = defaultdict(list)
-    for run in runs:
-        task, found = scores(run)
-        by_task[task].append(found)
-        print(task, found, file=sys.stderr, flush=True)
-    heads = [f"{way}: {variant}" for way in WAYS for variant in VARIANTS]
+    for run in args.runs:
+        (task,) = load_policy(run, "cpu").tasks
+        by_task[task].append([score for r, n in ways for score in scores(run, n, r)])
+        print(task, by_task[task][-1], file=sys.stderr, flush=True)
+    heads = [f"{v}, {n}{', rounded' * r}" for r, n in ways for v in VARIANTS]
     rows = {task: np.mean(found, axis=0) for task, found in by_task.items()}
     rows["mean"] = np.mean(list(rows.values()), axis=0)
     print(f"| Task | {' | '.join(heads)} |\n{'| --- ' * (len(heads) + 1)}|")
