@@ -72,10 +72,11 @@ SECTIONS = {  # the generated parts of each study's page
     "intent": (*BY_TASK, "program-bc-few", "object-networks-human"),
     "modern_baselines": (
         *("sequence-learners", "sequence-learners-held-out", "sequence-learners-longer"),
-        *("sequence-learners-hundred", "iq-learn"),
+        *("sequence-learners-executed", "sequence-learners-hundred", "iq-learn", "iq-learn-gail"),
     ),
     "objects": ("baseline", "gaps", "object-bc-ablations-human", "leaderboard", "others"),
 }
+PLAN_OF = {"iq-learn-gail": "iq-learn"}  # of the parts below that are not named like their plans
 BESIDE = {  # plans whose methods are compared with methods of other plans, as {plan: method}
     "sequence-learners": {"bc-human": "BC (ST)"},
     "sequence-learners-held-out": {"held-out": "BC (ST)"},
@@ -83,8 +84,13 @@ BESIDE = {  # plans whose methods are compared with methods of other plans, as {
         "sequence-learners": "Diffusion policy (ST)",
         "bc-human": "BC (ST)",
     },
+    "sequence-learners-executed": {
+        "sequence-learners": "Diffusion policy (ST)",
+        "bc-human": "BC (ST)",
+    },
     "sequence-learners-hundred": {},
-    "iq-learn": {"adversarial-human": "GAIL (ST)", "bc-human": "BC (ST)"},
+    "iq-learn": {"bc-human": "BC (ST)"},
+    "iq-learn-gail": {"adversarial-human": "GAIL (ST)", "bc-human": "BC (ST)"},
     "program-bc-few": {"program-bc-held-out": "program-bc (ST)"},
     "object-networks-human": {
         "bc-human": "BC (ST)",
@@ -164,7 +170,10 @@ class Page:
             "others": self.other_tables,
             "held-out": lambda: held_out_tables(self.root),
             **{name: partial(task_table, self.root, name) for name in BY_TASK},
-            **{name: partial(method_table, self.root, name, of) for name, of in BESIDE.items()},
+            **{
+                name: partial(method_table, self.root, PLAN_OF.get(name, name), of)
+                for name, of in BESIDE.items()
+            },
             "cells": self.cell_tables,
             "rejected": self.rejections,
         }

@@ -39,8 +39,8 @@ PLANS = (
 # Plans whose rows are on separate pages; they are also on the leaderboard.
 OTHERS = (
     *("object-bc-ablations", "object-bc-ablations-human", "bc-transformations"),
-    *("sequence-learners", "sequence-learners-longer", "sequence-learners-hundred", "iq-learn"),
-    *("held-out", "sequence-learners-held-out"),
+    *("sequence-learners", "sequence-learners-longer", "sequence-learners-executed"),
+    *("sequence-learners-hundred", "iq-learn", "held-out", "sequence-learners-held-out"),
     *("program-bc-human", "program-bc-perception", "program-bc-training", "program-bc-held-out"),
     *("program-bc-scripted", "program-bc-few", "object-networks-human"),
 )
