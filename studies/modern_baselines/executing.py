@@ -1,11 +1,11 @@
 """How scores of chunk policies with continuous actions depend on what of each chunk is executed.
 
-    python -m studies.modern_baselines.executing RUN [...] --execute N [...] [--round]
+    python -m studies.modern_baselines.executing RUN [...] --execute N [...] [--denoise N [...]]
 
 Evaluates each run on Demo and TestJitter, 50 rollouts with a nudge of 1e-3, with N steps of each
-chunk executed; with --round also with every part of an action rounded to the nearest value that
-the demonstrators could choose (drive and turn -1, 0 or 1, grip -1 or 1). Prints the means over runs
-for each task, and over tasks, as a Markdown table.
+chunk executed, and after N denoising steps; with --round also with every part of an action rounded
+to the nearest value that the demonstrators could choose (drive and turn -1, 0 or 1, grip -1 or 1).
+Prints the means over runs for each task, and over tasks, as a Markdown table.
 """
 
 import argparse
@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from magical.envs import EnvId
 from magical.evaluation import evaluate
 from magical.evaluation.policy import Mask
+from magical.learning.algorithms.diffusion import DiffusionNetwork
 from magical.learning.policy import TrainedPolicy, load_policy
 from magical.tasks import Horizon, get_task
 
@@ -47,10 +48,13 @@ class Rounded:
         return np.concatenate([np.rint(actions[:, :2]), grip], axis=1)
 
 
-def scores(run: str, execute: int, rounded: bool) -> list[float]:
-    """A run's mean scores on the variants."""
+def scores(run: str, rounded: bool, execute: int, denoise: int) -> list[float]:
+    """A run's mean scores on the variants; `denoise` is 0 for policies that do not denoise."""
     policy = load_policy(run, "cpu")
     policy.config = policy.config.replace(execute=execute)
+    if denoise:
+        assert isinstance(policy.network, DiffusionNetwork)
+        policy.network.denoising_steps = denoise
     (task,) = policy.tasks
     horizon: Horizon = "published" if get_task(task).has_two_horizons else None
     env_ids = [EnvId(task, variant) for variant in VARIANTS]
@@ -63,15 +67,18 @@ def main(arguments: Sequence[str]) -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("runs", nargs="+", metavar="RUN")
     parser.add_argument("--execute", nargs="+", type=int, required=True, metavar="N")
+    parser.add_argument("--denoise", nargs="+", type=int, default=[0], metavar="N")
     parser.add_argument("--round", action="store_true")
     args = parser.parse_args(arguments)
-    ways = list(product((False, True) if args.round else (False,), args.execute))
+    ways = list(product((False, True)[: 1 + args.round], args.execute, args.denoise))
     by_task: dict[str, list[list[float]]] = defaultdict(list)
     for run in args.runs:
         (task,) = load_policy(run, "cpu").tasks
-        by_task[task].append([score for r, n in ways for score in scores(run, n, r)])
+        by_task[task].append([score for way in ways for score in scores(run, *way)])
         print(task, by_task[task][-1], file=sys.stderr, flush=True)
-    heads = [f"{v}, {n}{', rounded' * r}" for r, n in ways for v in VARIANTS]
+    heads = [
+        f"{v}, {n}{f' after {k}' * (k > 0)}{', rounded' * r}" for r, n, k in ways for v in VARIANTS
+    ]
     rows = {task: np.mean(found, axis=0) for task, found in by_task.items()}
     rows["mean"] = np.mean(list(rows.values()), axis=0)
     print(f"| Task | {' | '.join(heads)} |\n{'| --- ' * (len(heads) + 1)}|")
