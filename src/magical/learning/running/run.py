@@ -12,7 +12,7 @@ from typing import Any, Self
 
 import torch
 
-from magical.errors import DivergedError, RunFolderError
+from magical.errors import DivergedError, InvalidConfigError, RunFolderError
 from magical.learning.config import CHECKPOINT_SECONDS, Config
 from magical.learning.running.checkpoints import (
     StateDict,
@@ -58,7 +58,10 @@ class Run:
 
         Raises:
             CheckpointError: the newest checkpoint is damaged.
+            InvalidConfigError: `stop_after` is below 1.
         """
+        if stop_after is not None and stop_after < 1:
+            raise InvalidConfigError(f"stop_after: expected a positive number, found {stop_after}")
         self.folder = folder
         self._seed, self._checkpoint_every = config.seed, config.checkpoint_every
         self.callbacks: list[Callback] = []

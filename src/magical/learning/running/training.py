@@ -90,12 +90,9 @@ def train(
         CheckpointError: the checkpoint is damaged.
         DemonstrationsError, DatasetError: too few demonstrations, or damaged ones.
         DivergedError: the loss or the weights are not finite; the newest good checkpoint is kept.
-        InvalidConfigError: `previous_checkpoint` without `resume`, a `stop_after` below 1, or
-            settings of another class.
+        InvalidConfigError: `previous_checkpoint` without `resume`, or other settings out of place.
         MissingDependencyError: a tracker's library is not installed.
     """
-    if stop_after is not None and stop_after < 1:
-        raise InvalidConfigError(f"stop_after: expected a positive number, found {stop_after}")
     folder, algorithm, total = Path(out), find_algorithm(config.algorithm), config.num_updates
     with (
         _opened(folder, config, resume, previous_checkpoint),
