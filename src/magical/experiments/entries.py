@@ -29,11 +29,12 @@ def evaluation_details(policy: str, out: Path) -> dict[str, Any]:
     if policy in policy_names() or not Path(policy).is_dir():
         return {POLICY: policy, **provenance()}
     from magical.learning import read_config
+    from magical.learning.data.rendered_data import RESAMPLING
     from magical.learning.running.devices import num_threads
 
     details = {**read_config(Path(policy)).training_details, THREADS: num_threads()}
     record = read_json(Path(policy) / RECORD)
-    if record.get("augment_by") == "resampling":  # no state was rendered
+    if record.get("augment_by") == RESAMPLING:  # no state was rendered
         details[LEARNED_FROM] = [each for each in details[LEARNED_FROM] if each != RENDERED_STATES]
     if PRETRAINED_ON in record:
         details[PRETRAINED_ON] = record[PRETRAINED_ON]

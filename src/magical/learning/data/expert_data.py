@@ -257,8 +257,8 @@ class ExpertData:
 def _bounds(trajectories: Sequence[Trajectory], steps: Sequence[Rows]) -> Rows:
     """The first and the last neighbour of each sample: (2, S); see `ExpertData.neighbours`."""
     demonstrated = [~each.is_demonstrated for each in trajectories]
-    continued = [np.append(False, ~each.is_intended[:-1]) for each in trajectories]
-    return np.stack([_extents(demonstrated, steps)[0], _extents(continued, steps)[1]])
+    diverted = [np.append(False, ~each.is_intended[:-1]) for each in trajectories]
+    return np.stack([_extents(demonstrated, steps)[0], _extents(diverted, steps)[1]])
 
 
 def _extents(breaks: Sequence[NDArray[np.bool_]], steps: Sequence[Rows]) -> Rows:
