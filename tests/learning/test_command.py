@@ -37,6 +37,11 @@ def test_train_stop_resume(demos: Path, tmp_path: Path, capsys: pytest.CaptureFi
     assert (summary["step"], summary["finished"], summary["total"]) == (2, False, 4)
     assert {"loss", "accuracy", "samples_per_second", "run"} <= set(summary)
     assert f"magical train bc --out {out} --resume {shlex.join(track)}" in captured.err
+    moved = demos.rename(demos.with_name("moved demos"))
+    again = ["train", "bc", "--out", str(out), "--resume", "--demos", str(moved)]
+    assert main([*again, "--stop-after", "1"]) == 0
+    assert shlex.join(["magical", *again]) in capsys.readouterr().err
+    moved.rename(demos)
     assert main(["train", "bc", "--out", str(out), "--resume"]) == 0
     assert "finished; to evaluate: magical evaluate" in capsys.readouterr().err
     assert main(["train", "dagger", "--out", str(out), "--resume"]) == 2

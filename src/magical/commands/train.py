@@ -82,7 +82,9 @@ def run(args: argparse.Namespace) -> int:
         log(f"{result.folder}: finished; to evaluate: magical evaluate {folder}{imports}")
         return 0
     tracks = f" --track {shlex.join(args.track)}" if args.track else ""
-    again = f"magical train {args.algorithm} --out {folder} --resume{tracks}{imports}"
+    demos = getattr(args, _dest("demos"), None)  # moved since the run began, where it is resumed
+    moved = f" --demos {shlex.quote(str(demos))}" if args.resume and demos else ""
+    again = f"magical train {args.algorithm} --out {folder} --resume{moved}{tracks}{imports}"
     log(f"{result.folder}: stopped at step {result.step}; to continue: {again}")
     return INTERRUPTED if result.interrupted else 0
 
@@ -176,13 +178,13 @@ def _add_option(parser: argparse.ArgumentParser, option: "Option") -> None:
     flags = ["--task", "--tasks"] if option.name == "tasks" else [option.flag]
     if option.kind is bool:
         parser.add_argument(
-            *flags, action=argparse.BooleanOptionalAction, dest=_dest(option), help=text
+            *flags, action=argparse.BooleanOptionalAction, dest=_dest(option.name), help=text
         )
         return
     parser.add_argument(
         *flags,
         action="extend" if option.several else "store",
-        dest=_dest(option),
+        dest=_dest(option.name),
         type=task_name if option.name == "tasks" else option.kind,
         nargs="+" if option.several else None,
         choices=None if option.open else option.choices or None,
@@ -191,9 +193,9 @@ def _add_option(parser: argparse.ArgumentParser, option: "Option") -> None:
     )
 
 
-def _dest(option: "Option") -> str:
-    """The name among the parsed arguments, distinct from those of the command itself."""
-    return f"setting {option.name}"
+def _dest(name: str) -> str:
+    """An option's name among the parsed arguments, distinct from those of the command itself."""
+    return f"setting {name}"
 
 
 def _shown(value: object) -> object:
@@ -211,7 +213,7 @@ def _config(args: argparse.Namespace) -> "Config":
     given = {
         option.name: tuple(value) if option.several else value
         for option in fields
-        if (value := getattr(args, _dest(option), None)) is not None
+        if (value := getattr(args, _dest(option.name), None)) is not None
     }
     if args.resume and args.preset is None:
         recorded = read_config(args.out)

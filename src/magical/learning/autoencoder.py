@@ -5,6 +5,7 @@ to 32 units. The decoder is specified in docs/specification.md, section 10.
 """
 
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import torch
@@ -28,7 +29,8 @@ class Autoencoder(nn.Module):
     """Encodes images (B, C, 96, 96) and actions (B,) as features (B, 32), and decodes them.
 
     Attributes:
-        mean_image: (C, 96, 96), the image added to the decoder's output; initially 0.
+        mean_image: (C, 96, 96), the image added to the decoder's output; initially where the
+            encoder's pixels are 0, which is mid grey by the published code's conventions.
     """
 
     def __init__(
@@ -41,9 +43,9 @@ class Autoencoder(nn.Module):
         """Build an autoencoder, with PyTorch's initialisation.
 
         Args:
-            settings: the encoder's. Under the published code's conventions, batch norm follows each
-                ReLU of the image decoder. The decoder's pixels are in [0, 1] whatever the range of
-                the encoder's.
+            settings: the encoder's. Under the published code's conventions, the image decoder has
+                another linear layer, batch norm before each ReLU, and mirrored borders. The
+                decoded pixels are in [0, 1] whatever the range of the encoder's.
             image_shape: (C, 96, 96).
             linear_features: leave out the ReLU after the encoder's last layer.
         """
@@ -62,10 +64,13 @@ class Autoencoder(nn.Module):
             nn.Linear(FEATURES, HIDDEN), nn.ReLU(), nn.Linear(HIDDEN, HIDDEN), nn.ReLU()
         )
         self.action = nn.Linear(HIDDEN, NUM_ACTIONS)
-        self.start = nn.Linear(HIDDEN, int(np.prod(START)))
-        self.image = _image_decoder(image_shape[0], settings.published)
+        start = nn.Linear(HIDDEN, int(np.prod(START)))
+        published = settings.published
+        self.start = nn.Sequential(nn.Linear(HIDDEN, HIDDEN), start) if published else start
+        self.image = _image_decoder(image_shape[0], published)
+        self.scale = 0.5 if published else 1.0  # from the encoder's range of pixels to [0, 1]
         self.mean_image: Tensor
-        self.register_buffer("mean_image", torch.zeros(image_shape))
+        self.register_buffer("mean_image", torch.full(image_shape, 0.5 if published else 0.0))
         # Convolutions are fastest with this memory layout; PyTorch's typed overloads lack it.
         self.image.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
@@ -74,20 +79,22 @@ class Autoencoder(nn.Module):
         hidden = self.hidden(self.encoder(images, actions))
         start = self.start(hidden).view(-1, *START)
         difference = self.image(start.contiguous(memory_format=torch.channels_last))
-        return difference.float() + self.mean_image, self.action(hidden)
+        return self.scale * difference.float() + self.mean_image, self.action(hidden)
 
 
-def _image_decoder(channels: int, batch_norm: bool) -> nn.Sequential:
+def _image_decoder(channels: int, published: bool) -> nn.Sequential:
     """A module from feature maps (B, 64, 6, 6) to images (B, channels, 96, 96)."""
+    borders: Literal["reflect", "zeros"] = "reflect" if published else "zeros"
     layers: list[nn.Module] = []
     inputs = START[0]
     for doubled, last in DOUBLINGS:
         layers.append(nn.Upsample(scale_factor=2, mode="nearest"))
         for outputs in (doubled, last):
-            layers.append(nn.Conv2d(inputs, outputs or channels, 3, padding=1))
+            convolution = nn.Conv2d(inputs, outputs or channels, 3, padding=1, padding_mode=borders)
+            layers.append(convolution)
             if outputs:
+                layers += [nn.BatchNorm2d(outputs)] if published else []
                 layers.append(nn.ReLU())
-                layers += [nn.BatchNorm2d(outputs)] if batch_norm else []
                 inputs = outputs
     return nn.Sequential(*layers)
 

@@ -168,8 +168,59 @@ def test_published_code_settings() -> None:
     network = make_autoencoder(config)
     assert network.encoder.embedding is not None
     kinds = [type(module) for module in network.image]
-    normalised = kinds.count(torch.nn.BatchNorm2d)
-    assert normalised == kinds.count(torch.nn.ReLU) == 7
+    assert kinds.count(torch.nn.BatchNorm2d) == 7
+    assert all(
+        kinds[i - 1 : i + 2] == [torch.nn.Conv2d, torch.nn.BatchNorm2d, torch.nn.ReLU]
+        for i, kind in enumerate(kinds)
+        if kind is torch.nn.BatchNorm2d
+    )
+    assert {m.padding_mode for m in network.image if isinstance(m, torch.nn.Conv2d)} == {"reflect"}
+
+
+def test_pretraining_images_are_plain_by_the_published_codes_conventions(
+    expert: ExpertData, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[torch.Tensor] = []
+
+    def watched(images: torch.Tensor, *others: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        seen.append(images)
+        return autoencoder_loss(images, *others)
+
+    monkeypatch.setattr(al, "autoencoder_loss", watched)
+    for conventions in CONVENTIONS:
+        config = small("", conventions=conventions, augment="noise")
+        autoencoder = make_autoencoder(config)
+        optimizer = torch.optim.Adam(autoencoder.parameters(), fused=True)
+        pretraining_step(config, CPU, expert, autoencoder, optimizer, number=0)
+    augmented, plain = seen
+    torch.testing.assert_close(plain * 255, (plain * 255).round())
+    assert 0.0 < (augmented - plain).abs().mean() < 0.02
+
+
+def test_a_decoder_without_weights_gives_the_zero_of_the_encoders_range(
+    expert: ExpertData,
+) -> None:
+    rows = np.arange(8)
+    images, actions = unaugmented(expert, rows), expert.labels(rows)[0]
+    for conventions, (middle, white) in zip(CONVENTIONS, ((0.0, 1.0), (0.5, 1.0)), strict=True):
+        autoencoder = make_autoencoder(small("", conventions=conventions, autoencoder=APPENDIX))
+        last: Any = autoencoder.image[-1]
+        for bias, expected in ((0.0, middle), (1.0, white)):
+            torch.nn.init.zeros_(last.weight)
+            torch.nn.init.constant_(last.bias, bias)
+            decoded = autoencoder(images, actions)[0]
+            torch.testing.assert_close(decoded, torch.full_like(images, expected))
+
+
+@pytest.mark.parametrize("conventions", CONVENTIONS)
+def test_resuming_keeps_the_picture_of_reconstructions(
+    demos: Path, tmp_path: Path, conventions: str
+) -> None:
+    config = small(demos, conventions=conventions)
+    train(config, tmp_path, stop_after=config.pretraining_batches + 1)
+    picture = (tmp_path / "reconstructions.png").read_bytes()
+    train(config, tmp_path, resume=True, stop_after=1)
+    assert (tmp_path / "reconstructions.png").read_bytes() == picture
 
 
 def test_annealing_lowers_the_autoencoders_learning_rate(expert: ExpertData) -> None:
@@ -190,7 +241,7 @@ def test_pretraining_divides_the_image_error_alone_by_its_scale(expert: ExpertDa
         autoencoder = make_autoencoder(config)
         optimizer = torch.optim.Adam(autoencoder.parameters(), fused=True)
         pretraining_step(config, CPU, expert, autoencoder, optimizer, 0, scale)
-        heads = autoencoder.start, autoencoder.action
+        heads: tuple[Any, ...] = autoencoder.start, autoencoder.action
         gradients.append([head.weight.grad for head in heads])
     (image, action), (scaled, same) = gradients
     torch.testing.assert_close(10.0 * scaled, image)

@@ -85,7 +85,9 @@ class ALConfig(ReinforcementConfig):
     pretraining_learning_rate: float = option(
         3e-4, "Adam's learning rate for the autoencoder", POSITIVE
     )
-    augment: str = augment_option("none", "the autoencoder's images")
+    augment: str = augment_option(
+        "none", "the autoencoder's images; of w's instead by the published code's conventions"
+    )
     autoencoder: str = option(
         APPENDIX,
         "refined: its learning rate is annealed linearly to 0; it decodes the difference from the "
@@ -123,7 +125,7 @@ class ALConfig(ReinforcementConfig):
 
     @property
     def augmentations(self) -> Augmentations:
-        """The augmentations of the autoencoder's images."""
+        """The augmentations of the autoencoder's images, or of w's (`PUBLISHED`)."""
         return self.networks.augmentations(self.augment)
 
     @property
@@ -148,7 +150,10 @@ def train(config: ALConfig, run: Run) -> None:
         autoencoder = make_autoencoder(config).to(ppo.device)
         if not pretrain(config, run, ppo, expert, autoencoder):
             return
-        save_expert_reconstructions(run, ppo, expert, autoencoder)
+        if "apprentice" not in (
+            run.saved or {}
+        ):  # later, the encoder's batch norm may have changed
+            save_expert_reconstructions(run, ppo, expert, autoencoder)
         imitate(config, run, ppo, expert, autoencoder)
 
 
@@ -166,7 +171,7 @@ def pretrain(
             autoencoder.load_state_dict(run.saved["autoencoder"])
             if "autoencoder_optimizer" in run.saved:
                 load_optimizer(optimizer, run.saved["autoencoder_optimizer"])
-    scale = 1.0
+    scale = autoencoder.scale**2  # the error is of pixels in the encoder's range
     if config.refined:
         autoencoder.mean_image, scale = mean_image(expert)
 
@@ -210,7 +215,8 @@ def pretraining_step(
     set_learning_rate(optimizer, config.pretraining_learning_rate * left)
     rng = stream(config.seed, Purpose.PRETRAINING, number)
     rows = expert.sample_counts([config.pretraining_batch_size], rng)
-    images = augment(expert.images(rows), config.augmentations, rng)
+    augmentations = SETS["none"] if config.networks.published else config.augmentations
+    images = augment(expert.images(rows), augmentations, rng)
     actions, _ = expert.labels(rows)
     with compute.autocast():
         reconstructed, logits = autoencoder(images, actions)

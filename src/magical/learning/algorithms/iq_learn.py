@@ -60,7 +60,7 @@ from magical.learning.settings import FRACTION, NOT_NEGATIVE, POSITIVE, option
 
 @dataclass(frozen=True, kw_only=True)
 class IQSettings(InteractionSettings):
-    """How a soft Q function is learned; the defaults are the published code's, for Atari games."""
+    """How a soft Q function is learned; the defaults are the published code's for Pong."""
 
     num_steps: int = option(1, "T: steps of each environment per update", POSITIVE)
     buffer_size: int = option(50_000, "frames in the replay buffer, about one per step", POSITIVE)
@@ -87,7 +87,7 @@ class IQSettings(InteractionSettings):
 
 @dataclass(frozen=True, kw_only=True)
 class IQLearnConfig(InteractionConfig):
-    """Settings of IQ-Learn; the defaults are the published code's for Atari games."""
+    """Settings of IQ-Learn; the defaults are the published code's for Pong."""
 
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {},

@@ -14,7 +14,9 @@ class InteractionSettings(Settings):
     """How many environments a learner acts in, and for how long."""
 
     total_steps: int = option(1_000_000, "total environment steps", POSITIVE)
-    num_envs: int = option(32, "N: parallel environments, split evenly among the tasks", POSITIVE)
+    num_envs: int = option(
+        32, "N: parallel environments, equally many for each task if they can be", POSITIVE
+    )
     num_steps: int = option(8, "T: steps of each environment per update", POSITIVE)
     workers: int | None = option(
         None, "environment processes (default: one per core)", NOT_NEGATIVE

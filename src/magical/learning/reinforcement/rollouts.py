@@ -42,7 +42,7 @@ class Rollout:
 
 
 class RolloutEnvs:
-    """The Demo variants of the tasks, split evenly between the sub-environments.
+    """The Demo variants of the tasks, as equally many as the number of environments allows.
 
     Observations go to the device and actions come back: one transfer each way per step.
 
