@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, ClassVar, TypeVar
+from typing import TypeVar
 
 import torch
 from torch import Tensor, nn
@@ -50,8 +50,6 @@ class FittingSettings(Settings):
 @dataclass(frozen=True, kw_only=True)
 class SequenceConfig(Config):
     """Base of the configurations of sequence learners."""
-
-    presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {"paper": {}, "quick": QUICK}
 
     networks: EncoderSettings = field(default_factory=EncoderSettings)
     demonstrations: DemonstrationSettings
