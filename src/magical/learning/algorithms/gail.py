@@ -124,11 +124,6 @@ class DiscriminatorBatch(NamedTuple):
     actions: Tensor  # (2B,) int64
     tasks: Tensor  # (2B,) int64
 
-    @property
-    def half(self) -> int:
-        """B."""
-        return len(self.images) // 2
-
 
 # Discriminator, batch, random numbers -> the loss to be minimised, and other values to log.
 Loss = Callable[
@@ -143,7 +138,7 @@ def gail_loss(
     """Mean binary cross-entropy of the logits (expert 1, novice 0): to be minimised."""
     logits = discriminator(batch.images, batch.actions, batch.tasks).float()  # (2B,)
     labels = torch.zeros_like(logits)
-    labels[: batch.half] = 1.0
+    labels[: len(labels) // 2] = 1.0
     loss = functional.binary_cross_entropy_with_logits(logits, labels)
     accuracy = ((logits > 0) == (labels > 0)).float().mean()
     return loss, {"discriminator_accuracy": accuracy}

@@ -88,7 +88,7 @@ def critic_loss(
     threshold midway between the two means.
     """
     logits = critic(batch.images, batch.actions, batch.tasks).float()  # (2B,)
-    expert, novice = logits[: batch.half], logits[batch.half :]
+    expert, novice = logits.chunk(2)
     distance = expert.mean() - novice.mean()
     critic.train(penalty_batch_norm)
     penalty = gradient_penalty(critic, *interpolate(batch, rng), critic.trunk.pixels)
@@ -110,12 +110,13 @@ def interpolate(
     Returns:
         Images (B, C, H, W), actions (B,) of the nearer image, tasks (B,).
     """
-    half = batch.half
-    uniforms = rng.random(half, np.float32)
-    weight = torch.from_numpy(uniforms).to(batch.images.device)  # of the expert's image
-    images = torch.lerp(batch.images[half:], batch.images[:half], weight[:, None, None, None])
-    actions = torch.where(weight > 0.5, batch.actions[:half], batch.actions[half:])
-    return images, actions, batch.tasks[:half]
+    expert, novice = batch.images.chunk(2)
+    expert_actions, novice_actions = batch.actions.chunk(2)
+    uniforms = rng.random(len(expert), np.float32)
+    weight = torch.from_numpy(uniforms).to(expert.device)  # of the expert's image
+    images = torch.lerp(novice, expert, weight[:, None, None, None])
+    actions = torch.where(weight > 0.5, expert_actions, novice_actions)
+    return images, actions, batch.tasks[: len(expert)]
 
 
 def gradient_penalty(
