@@ -7,7 +7,7 @@ frames can instead be rendered when sampled (`magical.learning.data.rendered_dat
 
 from collections.abc import Iterable, Sequence
 from itertools import repeat
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -23,13 +23,11 @@ from magical.learning.augmentation.names import Augmentations
 from magical.learning.augmentation.palette import permute_palette
 from magical.learning.augmentation.transformations import StackTransformations
 from magical.learning.config import Config, DemonstrationSettings
+from magical.learning.running.run import Run
 from magical.learning.running.streams import Purpose, stream
 from magical.observe import ObservationSpec
 from magical.observe.arrays import stack_indices
 from magical.scene import NOOP
-
-if TYPE_CHECKING:
-    from magical.learning.running.run import Run
 
 Rows = NDArray[np.int64]  # (B,) indices of samples
 TaskTrajectories = tuple[tuple[str, Trajectory], ...]  # each with the name of its task
@@ -42,7 +40,7 @@ class Demonstrations(NamedTuple):
     record: tuple[dict[str, Any], ...]  # task, file and SHA-256 of each
 
 
-def load_demonstrations(config: Config, run: "Run") -> TaskTrajectories:
+def load_demonstrations(config: Config, run: Run) -> TaskTrajectories:
     """Sample the demonstrations that the configuration asks for, and record them in `run.json`.
 
     Raises:

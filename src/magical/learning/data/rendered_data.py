@@ -7,7 +7,7 @@ experts have them, and so have the published human ones when read by `magical de
 
 from collections.abc import Collection, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -29,20 +29,18 @@ from magical.learning.augmentation.noise import add_noise
 from magical.learning.augmentation.palette import PERMUTATIONS
 from magical.learning.augmentation.transformations import WALLS, StackTransformations
 from magical.learning.data.expert_data import ExpertData, Rows, TaskTrajectories
+from magical.learning.running.run import Run
 from magical.observe import ObservationSpec, PixelSpec
 from magical.render.moved_camera import MovedCamera
 from magical.render.palette import permuted
 from magical.scene import Scene
-
-if TYPE_CHECKING:
-    from magical.learning.running.run import Run
 
 AUTO, RENDERING, RESAMPLING = "auto", "rendering", "resampling"  # how images are augmented
 
 
 def choose_image_data(
     demonstrations: TaskTrajectories,
-    run: "Run",
+    run: Run,
     spec: ObservationSpec,
     augment_by: str,
     transformations: Collection[str] = (),
