@@ -138,19 +138,18 @@ class Config(Settings):
         object.__setattr__(self, "tasks", names)
         if not names or len(set(names)) < len(names):
             raise InvalidConfigError(f"tasks: expected each task once, found {names}")
-        networks = self.part(EncoderSettings)
-        known = not networks or networks.observation in self.observations
-        if networks and not known and not is_plugin(GROUP, networks.observation):
+        if not self.part(EncoderSettings):
+            return
+        if self.observation not in self.observations and not is_plugin(GROUP, self.observation):
             raise UnknownNameError(
-                f"observation {quoted(networks.observation)} is unknown; expected one of: "
+                f"observation {quoted(self.observation)} is unknown; expected one of: "
                 f"{', '.join(self.observations)}"
             )
-        if networks and STATE not in self.observations and self.observes_vectors:
+        if STATE not in self.observations and self.observes_vectors:
             raise InvalidConfigError(
                 f"observation: {self.algorithm} learns from images, found a vector"
             )
-        shapes = {self._spec_of(name).network_shape for name in names} if networks else ()
-        if len(shapes) > 1:
+        if len({self._spec_of(name).network_shape for name in names}) > 1:
             raise InvalidConfigError(
                 "observation: state vectors differ between tasks, so one task is expected, found "
                 f"{', '.join(names)}; use a pixel observation, or a run for each task"
