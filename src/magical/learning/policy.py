@@ -112,8 +112,7 @@ class NetworkPolicy(TrainedPolicy):
 
     def probabilities(self, observations: Any, env_ids: Sequence[str]) -> NDArray[np.float64]:
         """The distribution over actions, (B, 18) float64; raises what `act` raises."""
-        probabilities: NDArray[np.float64] = self.outputs(observations, env_ids).softmax(1).numpy()
-        return probabilities
+        return self.outputs(observations, env_ids).softmax(1).numpy()
 
 
 def choose_actions(

@@ -143,8 +143,7 @@ def _fields(kind: type[Settings]) -> Iterator[tuple[str, "dataclasses.Field[Any]
 
 def name_of(field: "dataclasses.Field[Any]") -> str:
     """The name of a field's option."""
-    name: str = field.metadata["name"] or field.name
-    return name
+    return field.metadata["name"] or field.name
 
 
 def by_part(

@@ -231,8 +231,7 @@ class BCTrainer:
     @property
     def policy(self) -> nn.Module:
         """The evaluated module: the network or, with `average_decay`, its moving average."""
-        module: nn.Module = self._average.module if self._average else self.network
-        return module
+        return self._average.module if self._average else self.network
 
     def expert_data(self, demonstrations: TaskTrajectories) -> ExpertData:
         """The samples of the demonstrations but no-ops, on the trainer's device.

@@ -177,8 +177,7 @@ class ObjectPolicy(nn.Module):
 def stacked_frames(observations: Tensor, number: int) -> Pixels:
     """Frame `number`, counted from the oldest, of stacks (B, 12, 96, 96): (B, 96, 96, 3)."""
     frames = observations[:, number * CHANNELS : (number + 1) * CHANNELS].permute(0, 2, 3, 1)
-    pixels: Pixels = frames.cpu().numpy()
-    return pixels
+    return frames.cpu().numpy()
 
 
 def _stands(robot: Tensor, before: Tensor) -> Tensor:

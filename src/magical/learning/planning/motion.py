@@ -39,8 +39,7 @@ class Motion(NamedTuple):
         """Top speeds (2, 3): units per step backward and forward, rad per step."""
         gained = np.column_stack([-self.drive[:, 1], self.drive[:, 2], self.turn[:, 1]])
         kept = np.column_stack([self.drive[:, 0], self.drive[:, 0], self.turn[:, 0]])
-        top: Floats = gained / (1.0 - kept)
-        return top
+        return gained / (1.0 - kept)
 
 
 PRIOR = Motion(

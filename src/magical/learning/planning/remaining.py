@@ -128,5 +128,4 @@ def _steps_to_run_up(
 
 def _angle(directions: Floats) -> Floats:
     """The angles (...) of a robot that faces directions (..., 2)."""
-    angles: Floats = np.arctan2(-directions[..., 0], directions[..., 1])
-    return angles
+    return np.arctan2(-directions[..., 0], directions[..., 1])
