@@ -42,13 +42,7 @@ from magical.learning.running.devices import choose_device
 from magical.learning.running.optimizers import load_optimizer, optimizer_state, set_learning_rate
 from magical.learning.running.run import Run
 from magical.learning.running.streams import Purpose, seeded_init, stream
-from magical.learning.settings import (
-    BELOW_1,
-    NOT_NEGATIVE,
-    POSITIVE,
-    Settings,
-    option,
-)
+from magical.learning.settings import BELOW_1, NOT_NEGATIVE, POSITIVE, Settings, option
 from magical.observe import STATE
 from magical.runs.folder import CHECKPOINT
 from magical.runs.sources import EXTRA_DATA, PRETRAINED_ON, RENDERED_STATES

@@ -62,10 +62,7 @@ def augment(
 
 
 def resampled(
-    images: Tensor,
-    which: Augmentations,
-    parameters: "Parameters",
-    seeds: NDArray[np.uint64],
+    images: Tensor, which: Augmentations, parameters: "Parameters", seeds: NDArray[np.uint64]
 ) -> Tensor:
     """`augment` in compiled code, for uint8 images on a CPU; `seeds` (B,) are for the noise."""
     batch, channels, height, width = images.shape
@@ -84,10 +81,7 @@ def resampled(
 
 
 def augment_in_pytorch(
-    images: Tensor,
-    which: Augmentations,
-    parameters: "Parameters",
-    generator: torch.Generator,
+    images: Tensor, which: Augmentations, parameters: "Parameters", generator: torch.Generator
 ) -> Tensor:
     """`augment` in PyTorch, on any device; the generator is for the noise."""
     if which.colour:

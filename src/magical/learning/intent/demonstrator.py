@@ -32,11 +32,7 @@ class Episode:
     """
 
     def __init__(
-        self,
-        scene: Scene,
-        states: Sequence[Poses],
-        ends: Sequence[Poses],
-        rng: np.random.Generator,
+        self, scene: Scene, states: Sequence[Poses], ends: Sequence[Poses], rng: np.random.Generator
     ) -> None:
         """Create an episode.
 

@@ -36,12 +36,7 @@ def obstruction(poses: Floats, blocks: Floats, body: float = CONTACT_DISTANCE) -
 
 
 def steps_to_place(
-    place: Floats,
-    ends: Floats,
-    others: Floats,
-    speeds: Floats,
-    search: Search,
-    reach: float = 0.0,
+    place: Floats, ends: Floats, others: Floats, speeds: Floats, search: Search, reach: float = 0.0
 ) -> Floats:
     """Control steps (M,) until the robot, or a block `reach` ahead of it, is at a place.
 

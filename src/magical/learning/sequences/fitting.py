@@ -70,11 +70,7 @@ def _load_data(config: SequenceConfig, run: Run, device: str) -> ExpertData:
     demonstrations = load_demonstrations(config, run)
     kind = choose_image_data(demonstrations, run, config.observation_spec, AUTO)
     return kind(
-        demonstrations,
-        config.tasks,
-        config.observation_spec,
-        device=device,
-        remove_noops=True,
+        demonstrations, config.tasks, config.observation_spec, device=device, remove_noops=True
     )
 
 
