@@ -90,10 +90,10 @@ class ACTNetwork(nn.Module):
         channels, *positions = self.trunk.map_shape
         action_size, length = ACTION_SIZES[config.action_space], config.chunks.chunk
         self.projection = nn.Linear(channels, WIDTH)
-        self.positions = _learnt(math.prod(positions), WIDTH)
+        self.positions = _learnt(math.prod(positions))
         self.task = nn.Embedding(len(config.tasks), WIDTH)
         self.encoder = _encoder(LAYERS["encoder"])
-        self.queries = _learnt(length, WIDTH)
+        self.queries = _learnt(length)
         layer = nn.TransformerDecoderLayer(
             WIDTH, HEADS, FEEDFORWARD, DROPOUT, batch_first=True, norm_first=True
         )
@@ -126,8 +126,8 @@ class StyleEncoder(nn.Module):
         super().__init__()
         self.action_size = action_size
         self.projection = nn.Linear(action_size, WIDTH)
-        self.summary = _learnt(1, WIDTH)  # the CLS token, whose output is used
-        self.positions = _learnt(length, WIDTH)
+        self.summary = _learnt(1)  # the CLS token, whose output is used
+        self.positions = _learnt(length)
         self.encoder = _encoder(LAYERS["style"])
         self.moments = nn.Linear(WIDTH, 2 * LATENT_SIZE)
 
@@ -194,9 +194,9 @@ def _encoder(layers: int) -> nn.TransformerEncoder:
     return nn.TransformerEncoder(layer, layers, nn.LayerNorm(WIDTH), enable_nested_tensor=False)
 
 
-def _learnt(count: int, size: int) -> nn.Parameter:
+def _learnt(count: int) -> nn.Parameter:
     """Learnt positions or queries, initialised like the published code's embeddings."""
-    return nn.Parameter(torch.randn(count, size))
+    return nn.Parameter(torch.randn(count, WIDTH))
 
 
 ALGORITHM = Algorithm(ACTConfig, train, make_policy, ACTPolicy)
