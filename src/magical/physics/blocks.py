@@ -25,19 +25,16 @@ def add_block(space: pymunk.Space, block: Block, dynamics: Dynamics, group: int)
     """Add one block with its surface drag; `group` is a collision group for it alone."""
     body, shapes = _make(block.shape)
     body.position, body.angle = block.pose[:2], block.pose.angle
-    space.add(body)
     for shape in shapes:
         shape.friction = c.BLOCK_FRICTION
         shape.filter = pymunk.ShapeFilter(group=group)
-        space.add(shape)
     pivot = pymunk.PivotJoint(space.static_body, body, (0, 0), (0, 0))
     pivot.max_bias = 0
     pivot.max_force = dynamics.block_pivot_max_force
     gear = pymunk.GearJoint(space.static_body, body, 0.0, 1.0)
     gear.max_bias = 0
     gear.max_force = dynamics.block_gear_max_force
-    space.add(pivot)
-    space.add(gear)
+    space.add(body, *shapes, pivot, gear)
     return body
 
 

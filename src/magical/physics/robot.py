@@ -92,8 +92,7 @@ def _add_drive(
     gear.error_bias = 0
     gear.max_bias = c.TURN_MAX_BIAS
     gear.max_force = dynamics.body_gear_max_force
-    for part in (control, pivot, gear):
-        space.add(part)
+    space.add(control, pivot, gear)
     return control, gear
 
 
@@ -102,8 +101,7 @@ def _add_eye(space: pymunk.Space, body: pymunk.Body, pose: Pose) -> pymunk.Body:
     eye = pymunk.Body(c.EYE_MASS, pymunk.moment_for_circle(c.EYE_MASS, 0, c.ROBOT_RADIUS))
     eye.position, eye.angle = pose[:2], pose.angle
     spring = pymunk.DampedRotarySpring(body, eye, 0, c.EYE_SPRING_STIFFNESS, c.EYE_SPRING_DAMPING)
-    space.add(eye)
-    space.add(spring)
+    space.add(eye, spring)
     return eye
 
 
@@ -126,6 +124,5 @@ def _add_finger(
     motor = pymunk.SimpleMotor(body, finger, 0)
     motor.max_bias = 0
     motor.max_force = dynamics.finger_motor_max_force
-    for part in (finger, pin, limit, motor):
-        space.add(part)
+    space.add(finger, pin, limit, motor)
     return finger, motor
