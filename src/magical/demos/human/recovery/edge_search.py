@@ -15,19 +15,21 @@ from numpy.typing import NDArray
 
 from magical.compiled.jit import entry_point, inlined
 from magical.render.display import DISC_SIDES
-from magical.render.frame import body_frames
+from magical.render.frame import VIEW_WIDTH, body_frames
 from magical.render.polygons import SUBSAMPLES, Floats, Ints
+from magical.scene.constants import RAW_FRAME_SIZE as SIZE
 
+SCALE = SIZE / VIEW_WIDTH  # pixels per unit
 MAX_LAYERS = 8  # polygons in a pixel's list; further ones are left out
 MIXED = 255  # the label of a pixel with none of the scene's plain colours
-TILE = 8  # width in pixels of the tiles in which edges on the ground are searched for
+TILE = 8  # width in pixels, a divisor of SIZE, of the tiles in which edges on the ground are sought
 DEEP = 1e3  # pixels: represents any distance beyond the band
 DASH_REACH = 3.0  # pixels from a region's edge within which its dashes may lie
 AMBIGUOUS = 4.0  # square pixels: explanations whose costs differ by less are rejected
 
 FIRST, COUNT, ANCHOR, TURN, COLOUR, PART = range(6)  # columns of `items`
 
-Labels = NDArray[np.uint8]  # (size, size), lowest row first
+Labels = NDArray[np.uint8]  # (SIZE, SIZE), lowest row first
 
 
 class Layers(NamedTuple):
@@ -59,8 +61,6 @@ class FramePlacement(NamedTuple):
     origins: Floats  # (n, 2): of the polygons' own frames
     circles: Floats  # (n, 4): as in `Layers`
     to_workspace: Floats  # (4,): a, b, u, v of (a x + b y + u, a y - b x + v)
-    scale: float  # pixels per unit
-    size: int
     ego: bool
 
 
@@ -78,15 +78,15 @@ def _place_item(layers: Layers, placement: FramePlacement, i: int) -> None:
         following = k + 1 if k + 1 < first + item[COUNT] else first
         dx = vertices[0, following] - vertices[0, k]
         dy = vertices[1, following] - vertices[1, k]
-        length = placement.scale * math.sqrt(dx * dx + dy * dy)
+        length = SCALE * math.sqrt(dx * dx + dy * dy)
         nx, ny = (cos * dy + sin * dx) / length, (sin * dy - cos * dx) / length
         x = cos * vertices[0, k] - sin * vertices[1, k] + x0
         y = sin * vertices[0, k] + cos * vertices[1, k] + y0
         planes[0, k], planes[1, k], planes[2, k] = nx, ny, nx * x + ny * y
     placement.circles[i, 0] = cos * circle[0] - sin * circle[1] + x0
     placement.circles[i, 1] = sin * circle[0] + cos * circle[1] + y0
-    placement.circles[i, 2] = placement.scale * circle[2]
-    placement.circles[i, 3] = placement.scale * circle[3]
+    placement.circles[i, 2] = SCALE * circle[2]
+    placement.circles[i, 3] = SCALE * circle[3]
 
 
 @inlined
@@ -108,11 +108,11 @@ def _gather(
     placement: FramePlacement, items: Ints, i: int, near: Near, band: float, wanted: bool
 ) -> None:
     """Add one polygon to the lists of the pixels that it covers or nearly covers."""
-    circle, planes, size = placement.circles[i], placement.planes, placement.size
+    circle, planes = placement.circles[i], placement.planes
     reach, hollow = circle[3] + band, max(circle[2] - band, 0.0)
     edge = items[i, FIRST]
-    for row in range(max(0, int(circle[1] - reach)), min(size, int(circle[1] + reach) + 1)):
-        for column in range(max(0, int(circle[0] - reach)), min(size, int(circle[0] + reach) + 1)):
+    for row in range(max(0, int(circle[1] - reach)), min(SIZE, int(circle[1] + reach) + 1)):
+        for column in range(max(0, int(circle[0] - reach)), min(SIZE, int(circle[0] + reach) + 1)):
             x, y = column + 0.5, row + 0.5
             square = (x - circle[0]) ** 2 + (y - circle[1]) ** 2
             if square > reach * reach:
@@ -125,8 +125,8 @@ def _gather(
                     edge = _nearest(planes, items[i, FIRST], items[i, COUNT], x, y)
                 inside = planes[2, edge] - planes[0, edge] * x - planes[1, edge] * y
             if inside > -band:
-                _add(near, items, row * size + column, i, edge, inside, band)
-                near.wanted[row * size + column] |= wanted and inside <= band
+                _add(near, items, row * SIZE + column, i, edge, inside, band)
+                near.wanted[row * SIZE + column] |= wanted and inside <= band
 
 
 @inlined
@@ -185,7 +185,7 @@ def _depths(
     for i in range(len(rectangles)):
         across = min(u - rectangles[i, 0], rectangles[i, 1] - u)
         along = min(v - rectangles[i, 2], rectangles[i, 3] - v)
-        ground[i] = placement.scale * min(across, along)
+        ground[i] = SCALE * min(across, along)
         near |= abs(ground[i]) <= band
     return near
 
@@ -234,7 +234,7 @@ def _explain(
 def _place(bodies: Floats, placement: FramePlacement) -> None:
     """Place the bodies on the frame."""
     frames, to = placement.frames, placement.to_workspace
-    body_frames(bodies, placement.ego, float(placement.size), frames)
+    body_frames(bodies, placement.ego, float(SIZE), frames)
     frames /= SUBSAMPLES
     cos, sin, x, y = frames[len(bodies)]
     square = cos * cos + sin * sin
@@ -254,16 +254,16 @@ def _read_pixels(
     margins: Floats,
 ) -> int:
     """Explain the pixels near wanted edges, tile by tile, and empty their lists."""
-    size, rectangles, rows = placement.size, layers.rectangles, 0
+    rectangles, rows = layers.rectangles, 0
     ground, room = np.empty(len(rectangles)), len(margins) - MAX_LAYERS - len(rectangles)
-    across = (size + TILE - 1) // TILE
+    across = SIZE // TILE
     for tile in range(across * across):
         left, bottom = tile % across * TILE, tile // across * TILE
         x, y = left + TILE / 2, bottom + TILE / 2
         on_edge = ground_wanted and _depths(placement, rectangles, x, y, band + TILE, ground)
-        for row in range(bottom, min(bottom + TILE, size)):
-            for column in range(left, min(left + TILE, size)):
-                pixel, label = row * size + column, labels[row, column]
+        for row in range(bottom, bottom + TILE):
+            for column in range(left, left + TILE):
+                pixel, label = row * SIZE + column, labels[row, column]
                 count, asked = near.counts[pixel], near.wanted[pixel]
                 near.counts[pixel], near.wanted[pixel] = 0, False
                 if label == MIXED or not (asked or on_edge) or rows > room:

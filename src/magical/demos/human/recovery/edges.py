@@ -26,7 +26,7 @@ from magical.demos.human.recovery.edge_search import (
 )
 from magical.errors import RenderError
 from magical.render.display import FURTHEST, DisplayList, display_list
-from magical.render.frame import ROBOT_HEIGHT, VIEW_WIDTH
+from magical.render.frame import ROBOT_HEIGHT
 from magical.render.palette import OUTSIDE, WHITE, lanes
 from magical.render.polygons import Floats
 from magical.scene.constants import RAW_FRAME_SIZE as SIZE
@@ -108,8 +108,6 @@ class EdgeFinder:
             origins=np.empty((len(self._layers.items), 2)),
             circles=np.empty_like(self._layers.circles),
             to_workspace=np.empty(4),
-            scale=SIZE / VIEW_WIDTH,
-            size=SIZE,
             ego=self._is_ego,
         )
         count = compiled_search()(
