@@ -16,7 +16,6 @@ from magical.observe.pixels import copy_pixels
 from magical.physics import Simulation
 from magical.scene import Scene, View
 from magical.scene.constants import FRAME_SIZE, RAW_FRAME_SIZE
-from magical.scene.vocabulary import parse_word
 
 Pixels = NDArray[np.uint8]
 
@@ -42,7 +41,7 @@ class Frames:
         if trajectory.poses is not None:
             from magical import render  # imports numba: only when something is rendered
 
-            renderer = render.Renderer(trajectory.scene, parse_word(View, view), size, samples)
+            renderer = render.Renderer(trajectory.scene, view, size, samples)
             self._rows, self._write = trajectory.poses, renderer.render
         else:
             recorded = trajectory.frames or {}
