@@ -238,13 +238,8 @@ def read_manifest(folder: Path) -> tuple[list[ManifestEntry], list[Problem]]:
     Raises:
         DatasetError: there is no manifest, or the trajectories' folder is a symbolic link.
     """
-    lines = list(manifest.read_entries(folder))
-    entries = [line for line in lines if isinstance(line, ManifestEntry)]
-    problems = [
-        Problem(str(folder / manifest.NAME), str(error))
-        for error in lines
-        if isinstance(error, DatasetError)
-    ]
+    entries, damaged = manifest.read_entries(folder)
+    problems = [Problem(str(folder / manifest.NAME), line) for line in damaged]
     listed = {entry.file for entry in entries}
     problems += [
         Problem(str(path), f"not in the manifest; {manifest.ADVICE}")

@@ -10,7 +10,6 @@ import itertools
 import json
 import os
 import re
-from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import IO, Annotated, Any, NamedTuple
@@ -139,8 +138,8 @@ def new_text(entries: list[ManifestEntry]) -> str:
     return "".join(lines)
 
 
-def read_entries(folder: Path) -> Iterator[ManifestEntry | DatasetError]:
-    """The manifest's entries in order; for a damaged line, an error instead of the entry.
+def read_entries(folder: Path) -> tuple[list[ManifestEntry], list[str]]:
+    """The manifest's entries in order, and a message for each damaged line.
 
     Raises:
         DatasetError: there is no manifest, or it cannot be read.
@@ -150,25 +149,25 @@ def read_entries(folder: Path) -> Iterator[ManifestEntry | DatasetError]:
         found = f"no {NAME} in it" if folder.is_dir() else "no folder"
         raise DatasetError(f"{folder}: expected a dataset, found {found}")
     with reading(path, DatasetError), open_regular(path) as file:
-        yield from _parse_lines(path, file)
+        return _parse_lines(path, file)
 
 
-def _parse_lines(path: Path, file: IO[bytes]) -> Iterator[ManifestEntry | DatasetError]:
-    check, damaged = "", 0
+def _parse_lines(path: Path, file: IO[bytes]) -> tuple[list[ManifestEntry], list[str]]:
+    entries, damaged, check = list[ManifestEntry](), list[str](), ""
     for number in itertools.count(1):
         line = file.readline(MAX_LINE)
         if not line and number > 1:
-            return
+            break
         parsed = _parse(line, check)
         check = parsed.check
         if not parsed.intact or (number == 1) != (parsed.entry is None):
-            damaged += 1
-            yield DatasetError(f"{path}: line {number} or the line before it is damaged; {ADVICE}")
+            damaged.append(f"{path}: line {number} or the line before it is damaged; {ADVICE}")
         elif parsed.entry:
-            yield parsed.entry
-        if damaged == MAX_DAMAGED_LINES:
-            yield DatasetError(f"{path}: more than {damaged} damaged lines; {ADVICE}")
-            return
+            entries.append(parsed.entry)
+        if len(damaged) == MAX_DAMAGED_LINES:
+            damaged.append(f"{path}: more than {MAX_DAMAGED_LINES} damaged lines; {ADVICE}")
+            break
+    return entries, damaged
 
 
 ADVICE = "`magical demos info DIR --repair` rebuilds the manifest from the intact trajectories"
