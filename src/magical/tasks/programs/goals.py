@@ -210,9 +210,10 @@ class Lined(_OfBlocks):
     """Selected blocks in a line: 1 if all are, 0.5 if all but one are, else 0 (appendix A.2.4)."""
 
     def score(self, scene: Scene, poses: Poses) -> float:
-        points = self._points(scene, poses)
-        missing = len(points) - longest_line(points)
-        return {0: 1.0, 1: 0.5}.get(missing, 0.0) if len(points) > 1 else 0.0
+        points = positions(scene, poses)
+        chosen = [points[i] for i in sorted(self.selection.blocks(scene))]
+        missing = len(chosen) - longest_line(chosen)
+        return {0: 1.0, 1: 0.5}.get(missing, 0.0) if len(chosen) > 1 else 0.0
 
     def ways(self, states: States) -> Floats:
         chosen = sorted(self.selection.blocks(states.scene))
@@ -227,10 +228,6 @@ class Lined(_OfBlocks):
     def sentence(self, scene: Scene, style: Style) -> str:
         verb = style.of(("Arrange", "Put", "Place"))
         return f"{verb} {describe(self.selection, scene, style)} in a line."
-
-    def _points(self, scene: Scene, poses: Poses) -> list[Point]:
-        points = positions(scene, poses)
-        return [points[i] for i in sorted(self.selection.blocks(scene))]
 
 
 @dataclass(frozen=True, repr=False)
@@ -276,8 +273,7 @@ class RobotInside(Goal):
     """The robot in a region: 1 if its centre is inside one, otherwise 0 (appendix A.2.2)."""
 
     def score(self, scene: Scene, poses: Poses) -> float:
-        x, y, _ = poses.robot
-        return float(any(region.contains(x, y) for region in scene.regions))
+        return InRegion().degree(scene, 0, [poses.robot[:2]])
 
     def ways(self, states: States) -> Floats:
         units = InRegion().remaining(states.scene, states.robot[:, None])  # (P, 1)
