@@ -39,9 +39,7 @@ def describe(selection: Selection, scene: Scene, style: Style) -> str:
     if not style.attributes or several_of_all:
         return selection.phrase if len(scene.blocks) > 1 else "the block"
     names = _names(chosen, scene)
-    if not chosen or names is None:
-        return selection.phrase
-    return join(names)
+    return join(names) if names else selection.phrase
 
 
 def join(phrases: Sequence[str]) -> str:
