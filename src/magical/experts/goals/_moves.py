@@ -1,6 +1,6 @@
 """Moves into and out of goal regions, and the costs of moving blocks in all tasks."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 
 import numpy as np
 
@@ -100,7 +100,7 @@ def preferred_point(strategy: Strategy, region: Region, block: int) -> Point:
 def _place_inside(view: StateView, strategy: Strategy, region: Region, block: int) -> Point:
     """A place in a region that is near, preferred, and clear of the blocks already there."""
     inner = inset(region, AIM)
-    start, others = view.blocks[block], _points(view.other_blocks(block))
+    start, others = view.blocks[block], np.reshape(view.other_blocks(block), (-1, 2))
     grid = _grid(inner.x + _SHARES * inner.width, inner.y - _SHARES * inner.height)
     places = np.concatenate(([_nearest(inner, start)], grid))  # (P, 2)
     preferred = preferred_point(strategy, inner, block)
@@ -113,7 +113,7 @@ def place_on_grid(
     view: StateView, strategy: Strategy, block: int, is_allowed: Callable[[Point], bool]
 ) -> Point:
     """An allowed place in the workspace that is near, preferred, and clear of other blocks."""
-    start, others = view.blocks[block], _points(view.other_blocks(block))
+    start, others = view.blocks[block], np.reshape(view.other_blocks(block), (-1, 2))
     places = np.array(list(filter(is_allowed, _grid(_TICKS, _TICKS).tolist())) or [start])  # (P, 2)
     preferred = preferred_point(strategy, _OUTER, block)
     _, gaps = project_on_segments(np.array(start), places[:, None], others)  # (P, M)
@@ -125,10 +125,6 @@ def place_on_grid(
 
 def _grid(xs: Floats, ys: Floats) -> Floats:
     return np.stack(np.meshgrid(xs, ys), axis=-1).reshape(-1, 2)
-
-
-def _points(blocks: Sequence[Point]) -> Floats:
-    return np.array(blocks).reshape(-1, 2)
 
 
 def _cheapest(places: Floats, cost: Floats) -> Point:
