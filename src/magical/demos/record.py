@@ -124,8 +124,6 @@ def recorded_trajectory(
         TrajectoryError: the number of poses is not one more than the number of steps.
     """
     saved = env.get_state()
-    if len(poses) != len(saved["actions"]) + 1:
-        raise TrajectoryError("the episode was not recorded from its start; reset() first")
     return Trajectory.from_poses(
         env.env_id,
         env.state().scene,
