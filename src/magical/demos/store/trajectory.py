@@ -287,9 +287,8 @@ def _checked_seed(seed: Any) -> int:
 
 def _checked_metadata(metadata: Mapping[str, Any]) -> dict[str, Any]:
     try:
-        plain = json.loads(json.dumps(dict(metadata), allow_nan=False))
+        plain: dict[str, Any] = json.loads(json.dumps(dict(metadata), allow_nan=False))
         check_plain({"metadata": plain})  # as in a file's header
     except (TypeError, ValueError, RecursionError) as error:
         raise TrajectoryError(f"metadata: expected plain JSON data, found {error}") from error
-    assert isinstance(plain, dict)
     return plain
