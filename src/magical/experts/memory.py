@@ -1,9 +1,9 @@
 """An expert's state between decisions, and how it detects that it is stuck."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
-from magical.experts.planning import NO_PLAN, Move, MovePlan
+from magical.experts.planning import Move, MovePlan
 from magical.experts.state_view import StateView
 from magical.scene.actions import ACTIONS, Gripper
 
@@ -22,7 +22,7 @@ KEPT_FAILURES = 3  # number of moves given up last that are kept; tuned
 class Memory:
     """An expert's memory; the defaults are those of an expert that has just taken over."""
 
-    plan: MovePlan = NO_PLAN
+    plan: MovePlan = field(default_factory=MovePlan)
     move: Move | None = None
     side: float = 0.0  # rad: bearing at which the block is to be grasped
     move_steps: int = 0  # control steps spent on the move

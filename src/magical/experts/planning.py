@@ -35,9 +35,6 @@ class MovePlan:
     places: tuple[Point, ...] = ()  # specific to the task: a line's places, the clusters' anchors
 
 
-NO_PLAN = MovePlan()
-
-
 @dataclass(frozen=True, slots=True)
 class Strategy:
     """The preferences in which demonstrators differ, sampled once per episode."""
