@@ -72,7 +72,7 @@ def render_ground(
             polygon[CORNER_X, k], polygon[CORNER_Y, k] = x / SUBSAMPLES, y / SUBSAMPLES
             polygon[X, sides - 1 - k], polygon[Y, sides - 1 - k] = rint(x), rint(y)
         polygon[X, sides], polygon[Y, sides] = polygon[X, 0], polygon[Y, 0]
-        low, high = scan(polygon, sides, extent, extent, canvas.spans)
+        low, high = scan(polygon, sides, extent, canvas.spans)
         paint(canvas, low, high, colours[i, 0])
         advanced = outline(canvas, colours[i, 1], i > 0, counter, whole)
         counter = advanced if i > 0 else counter
@@ -108,7 +108,7 @@ def render_bodies(
         x0 = frames[anchor, 0] * x - frames[anchor, 1] * y + frames[anchor, 2]
         y0 = frames[anchor, 1] * x + frames[anchor, 0] * y + frames[anchor, 3]
         place(vertices, first, count, cos, sin, x0, y0, canvas.polygon)
-        low, high = scan(canvas.polygon, count, extent, extent, canvas.spans)
+        low, high = scan(canvas.polygon, count, extent, canvas.spans)
         cover(canvas, low, high, items[i, 4])
 
 

@@ -47,7 +47,7 @@ def place(
 
 
 @merged
-def scan(polygon: Floats, count: int, width: int, height: int, spans: Ints) -> tuple[int, int]:
+def scan(polygon: Floats, count: int, extent: int, spans: Ints) -> tuple[int, int]:
     """Write each sample row's span [left, right) to `spans` (2, rows); returns rows [low, high).
 
     A row's boundary is the first sample whose centre is at or right of the edge:
@@ -55,7 +55,7 @@ def scan(polygon: Floats, count: int, width: int, height: int, spans: Ints) -> t
     Half a unit of its numerator is subtracted before rounding down and adding 1: the result is the
     same, and rounding errors of the floating-point arithmetic cannot change it.
     """
-    _prepare(polygon, count, float(height))
+    _prepare(polygon, count, float(extent))
     low = high = polygon[ROW, 0]
     for i in range(count):
         start, stop = polygon[ROW, i], polygon[ROW, i + 1]
@@ -65,7 +65,7 @@ def scan(polygon: Floats, count: int, width: int, height: int, spans: Ints) -> t
             row = integer(minimum(start, stop))
             boundary, slope = polygon[BOUNDARY, i], polygon[SLOPE, i]
             for j in range(integer(abs(stop - start))):
-                spans[side, row + j] = integer(minimum(maximum(boundary + j * slope, 0.0), width))
+                spans[side, row + j] = integer(minimum(maximum(boundary + j * slope, 0.0), extent))
     return integer(low), integer(high)
 
 
