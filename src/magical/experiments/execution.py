@@ -1,5 +1,7 @@
 """Executing the runs of a plan, locally or on a cluster: when each is started, how each ends."""
 
+import errno
+import os
 import shlex
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
@@ -234,7 +236,7 @@ def _finish_all(
             stopping = True
             executor.stop()
     if full:
-        raise results.full()
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))  # `opened` says what to do
 
 
 class _References:

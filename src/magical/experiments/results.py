@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from magical import __version__
-from magical.errors import MagicalError, ResultsError
+from magical.errors import ResultsError
 from magical.experiments.plan import PlannedRun
 from magical.files import OwnedFolder, sha256_sum
 from magical.messages import quoted
@@ -83,10 +83,6 @@ class Results:
     def state(self, run: PlannedRun) -> str | None:
         """`done`, `failed`, or `None` for a run that has not been finished."""
         return read_state(self.folder(run))
-
-    def full(self) -> MagicalError:
-        """The error of a full disk."""
-        return _owned(self.path).full()
 
     def require_same(
         self, part: str, found: Mapping[str, str], others: Callable[[str], str]

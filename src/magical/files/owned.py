@@ -79,14 +79,10 @@ class OwnedFolder:
         except OSError as problem:
             if not is_out_of_space(problem):
                 raise
-            raise self.full() from problem
-
-    def full(self) -> MagicalError:
-        """The error of a full disk."""
-        return self.error(
-            f"{self.path}: no space left on the device. Finished files are intact: free some "
-            f"space, then {self.advice}"
-        )
+            raise self.error(
+                f"{self.path}: no space left on the device. Finished files are intact: free some "
+                f"space, then {self.advice}"
+            ) from problem
 
 
 def is_out_of_space(error: BaseException | None) -> bool:
