@@ -19,7 +19,7 @@ from types import ModuleType
 from typing import Any, NoReturn
 
 from magical import __version__, commands
-from magical.commands._common import FAILED, INTERRUPTED, USAGE
+from magical.commands._common import FAILED, INTERRUPTED, USAGE, UsageError
 from magical.errors import MagicalError, PlanError, UnknownNameError
 from magical.extras import missing
 from magical.plugins import import_user_module
@@ -36,7 +36,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(end="", flush=True)  # there may be no standard output to flush
     except SystemExit as stop:  # argparse: --help, --version, wrong usage
         return stop.code if isinstance(stop.code, int) else USAGE
-    except (UnknownNameError, PlanError) as error:
+    except (UnknownNameError, PlanError, UsageError) as error:
         return _report(error, USAGE)
     except BrokenPipeError:
         # The reader closed the pipe (`magical envs | head`); the exit's own flush must not fail.

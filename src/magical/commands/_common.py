@@ -17,6 +17,10 @@ Number = TypeVar("Number", int, float)
 Value = TypeVar("Value")
 
 
+class UsageError(MagicalError):
+    """Wrong options, or options that exclude or need each other; the exit status is `USAGE`."""
+
+
 def add_json(parser: argparse.ArgumentParser) -> None:
     """Add `--json`: the last line of standard output is one JSON object."""
     parser.add_argument(

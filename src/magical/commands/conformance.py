@@ -12,7 +12,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from magical.commands._common import USAGE, add_json, add_out, log, print_json, print_table
+from magical.commands._common import UsageError, add_json, add_out, log, print_json, print_table
 from magical.conformance.recordings import DATA, RECORDINGS, Comparison
 
 HELP = "compare with recordings of the published environments"
@@ -42,8 +42,7 @@ def run(args: argparse.Namespace) -> int:
         recordings = [(args.kind, args.recording)]
     if args.out and len(recordings) > 1:
         names = ", ".join(path.name for _, path in recordings)
-        log(f"error: --out: expected a single recording, found {names}")
-        return USAGE
+        raise UsageError(f"--out: expected a single recording, found {names}")
     results: list[dict[str, Any]] = []
     for kind, path in recordings:
         if results:

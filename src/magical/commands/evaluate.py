@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from magical.commands._common import (
-    USAGE,
+    UsageError,
     add_count,
     add_json,
     add_number,
@@ -102,9 +102,7 @@ def run(args: argparse.Namespace) -> int:
     from magical.progress import ProgressBar
 
     policy = load_policy(args.policy)
-    if wrong := _misused(args, policy):
-        log(f"error: {wrong}")
-        return USAGE
+    _check_options(args, policy)
     nudge = NUDGE if args.leaderboard else 0.0
     evaluation = Evaluation.of(
         environments(args.task or getattr(policy, "tasks", None), args.variants),
@@ -119,8 +117,7 @@ def run(args: argparse.Namespace) -> int:
         details = _details(args)
         entry = Entry.of(policy, evaluation, method=method, details=details).merged(args.out)
     if args.leaderboard and (why := _why_unranked(entry, evaluation)):
-        log(f"error: --leaderboard: the entry would not be ranked: {'; '.join(why)}")
-        return USAGE
+        raise UsageError(f"--leaderboard: the entry would not be ranked: {'; '.join(why)}")
     if args.out:
         make_folder(args.out)  # an unwritable folder is noticed before the rollouts
         _announce_replacement(args.out)
@@ -147,16 +144,16 @@ def _announce_replacement(folder: Path) -> None:
         )
 
 
-def _misused(args: argparse.Namespace, policy: "Policy") -> str:
-    """What is wrong with the options; empty if nothing is."""
+def _check_options(args: argparse.Namespace, policy: "Policy") -> None:
     own = getattr(policy, "observation", None)
     if args.observation and own not in (None, args.observation):
-        return f"--observation {args.observation}: the policy states its own observation, {own}"
+        raise UsageError(
+            f"--observation {args.observation}: the policy states its own observation, {own}"
+        )
     for option in ("leaderboard", "method", "learned_from", "looks"):
         value = getattr(args, option)
         if not args.out and value is not None and value is not False:
-            return f"--{option.replace('_', '-')} needs --out, which writes the entry"
-    return ""
+            raise UsageError(f"--{option.replace('_', '-')} needs --out, which writes the entry")
 
 
 def _details(args: argparse.Namespace) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from magical.commands._common import (
-    USAGE,
+    UsageError,
     add_count,
     add_json,
     add_out,
@@ -66,18 +66,14 @@ def run(args: argparse.Namespace) -> int:
     from magical.report.pages.export import format_of
 
     if args.format and not args.out:
-        log("error: --format needs --out FILE")
-        return USAGE
+        raise UsageError("--format needs --out FILE")
     kind = args.format or format_of(args.out) if args.out else None
     if args.compare and kind not in (None, "html"):
-        log("error: --compare writes HTML only; use --out FILE.html")
-        return USAGE
+        raise UsageError("--compare writes HTML only; use --out FILE.html")
     if args.compare and (args.title or args.published is not None):
-        log("error: --compare excludes --title and --published")
-        return USAGE
+        raise UsageError("--compare excludes --title and --published")
     if args.clips and (args.compare or kind != "html"):
-        log("error: --clips needs a page (--out FILE.html), and excludes --compare")
-        return USAGE
+        raise UsageError("--clips needs a page (--out FILE.html), and excludes --compare")
     if kind == "html":
         require("report")
     found = find_results(args.folders)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from magical.commands._common import (
     INTERRUPTED,
-    USAGE,
+    UsageError,
     add_count,
     add_json,
     add_number,
@@ -68,8 +68,7 @@ def run(args: argparse.Namespace) -> int:
     from magical.experiments.plan import find_plan, planned_references, planned_runs, read_plan
 
     if args.gpus and not (args.address or args.executor == "ray"):
-        log("error: --gpus needs --executor ray")
-        return USAGE
+        raise UsageError("--gpus needs --executor ray")
     path = find_plan(args.plan)
     plan = read_plan(path, args.demos)
     out = args.out or Path("runs") / path.stem

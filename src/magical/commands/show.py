@@ -3,9 +3,8 @@
 import argparse
 from pathlib import Path
 
-from magical.commands._common import add_json, add_out, add_seed, print_json
+from magical.commands._common import UsageError, add_json, add_out, add_seed, print_json
 from magical.envs import parse_env_id
-from magical.errors import UnknownNameError
 from magical.files import write_atomically
 
 HELP = "write an image of a scene"
@@ -29,7 +28,7 @@ def run(args: argparse.Namespace) -> int:
     env_id = parse_env_id(args.env_id)
     out = args.out or Path(f"{env_id.replace('/', '-')}.png")
     if out.suffix.lower() not in ("", ".png"):
-        raise UnknownNameError(f"{out}: expected the suffix .png")
+        raise UsageError(f"{out}: expected the suffix .png")
     env = MagicalEnv(env_id.task, env_id.variant, render_mode="rgb_array")
     env.reset(seed=args.seed)
     with write_atomically(out) as file:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from magical.commands._common import (
     INTERRUPTED,
-    USAGE,
+    UsageError,
     add_count,
     add_json,
     add_out,
@@ -58,13 +58,11 @@ def run(args: argparse.Namespace) -> int:
             save_learning_curves(args.out)
 
     if args.previous_checkpoint and not args.resume:
-        log("error: --previous-checkpoint needs --resume: a new run has no checkpoints")
-        return USAGE
+        raise UsageError("--previous-checkpoint needs --resume: a new run has no checkpoints")
     try:
         config = _config(args)
     except InvalidConfigError as error:  # wrong arguments, not a failure
-        log(f"error: {error}")
-        return USAGE
+        raise UsageError(str(error)) from error
     result = train(
         config,
         args.out,
@@ -204,7 +202,6 @@ def _shown(value: object) -> object:
 
 def _config(args: argparse.Namespace) -> "Config":
     """The preset's or the resumed run's configuration, with the given options replaced."""
-    from magical.errors import UnknownNameError
     from magical.learning import find_algorithm, read_config
     from magical.learning.config import options
 
@@ -218,11 +215,11 @@ def _config(args: argparse.Namespace) -> "Config":
     if args.resume and args.preset is None:
         recorded = read_config(args.out)
         if recorded.algorithm != args.algorithm:
-            raise UnknownNameError(
+            raise UsageError(
                 f"{args.out}: expected a run of {args.algorithm}, found one of {recorded.algorithm}"
             )
         return recorded.replace(**given)
     if missing := [o for o in fields if o.required and o.name not in given]:
         flags = ", ".join("--task" if o.name == "tasks" else o.flag for o in missing)
-        raise UnknownNameError(f"magical train {args.algorithm}: expected {flags}, found none")
+        raise UsageError(f"magical train {args.algorithm}: expected {flags}, found none")
     return kind.preset(args.preset or "paper", algorithm=args.algorithm, **given)

@@ -5,8 +5,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from magical.commands._common import log, print_json, print_table
-from magical.errors import DatasetError, UnknownNameError
+from magical.commands._common import UsageError, log, print_json, print_table
+from magical.errors import DatasetError
 from magical.messages import printable
 
 if TYPE_CHECKING:
@@ -195,9 +195,7 @@ def run_export(args: argparse.Namespace) -> int:
         from magical.demos.export.lerobot import export_lerobot
 
         if args.out is None:
-            raise UnknownNameError(
-                "--out: expected a new folder for the LeRobot dataset, found none"
-            )
+            raise UsageError("--out: expected a new folder for the LeRobot dataset, found none")
         frames = export_lerobot(dataset, args.out, args.action_space, args.instruction)
         result |= {"out": str(args.out), "frames": frames}
         print(f"wrote {args.out}: {len(dataset)} episodes, {result['frames']} frames")
