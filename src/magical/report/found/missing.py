@@ -1,20 +1,13 @@
 """Which scores are missing: method x task x variant x seed."""
 
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
 
 from magical.evaluation import by_variant
 from magical.report.found.search import Found, Result
 from magical.tasks import get_task
 from magical.tasks.axes import short_variant
 
-
-class Missing(NamedTuple):
-    """Scores that are expected from a plan, another method or another run, but missing."""
-
-    method: str
-    task: str
-    what: str
+Missing = tuple[str, str, str]  # method, task, and which of its scores are missing
 
 
 def find_missing(found: Found) -> list[Missing]:
@@ -27,13 +20,12 @@ def find_missing(found: Found) -> list[Missing]:
     variants = _variants(found.results)
     if found.planned is not None:
         runs = (
-            Missing(run.method, ", ".join(run.tasks), f"seed {run.seed}: {why}")
+            (run.method, ", ".join(run.tasks), f"seed {run.seed}: {why}")
             for run, why in found.planned
         )
         return [*runs, *variants]
     folders = (
-        Missing("–", "–", f"{folder}: a training run without an entry")
-        for folder in found.not_evaluated
+        ("–", "–", f"{folder}: a training run without an entry") for folder in found.not_evaluated
     )
     return [*_unplanned(found.results), *variants, *folders]
 
@@ -47,10 +39,10 @@ def _unplanned(results: Sequence[Result]) -> Iterator[Missing]:
         seeds = {run.seed for run in on_task}
         for name, group in groups.items():
             if not group:
-                yield Missing(name, task, "no run")
+                yield name, task, "no run"
             elif len(group) < most:
                 absent = _absent(seeds, {run.seed for run in group})
-                yield Missing(name, task, f"{len(group)} of {most} runs{absent}")
+                yield name, task, f"{len(group)} of {most} runs{absent}"
 
 
 def _absent(seeds: set[int | None], present: set[int | None]) -> str:
@@ -68,7 +60,7 @@ def _variants(results: Sequence[Result]) -> Iterator[Missing]:
             if absent := ", ".join(name for name in names if name not in cells):
                 groups.setdefault((result.entry.row, task, absent), []).append(result)
     for (method, task, absent), runs in groups.items():
-        yield Missing(method, task, f"{_named(runs)}: not evaluated on {absent}")
+        yield method, task, f"{_named(runs)}: not evaluated on {absent}"
 
 
 def _named(runs: Sequence[Result]) -> str:
