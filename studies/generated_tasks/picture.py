@@ -6,10 +6,9 @@ python -m studies.generated_tasks.picture
 import textwrap
 from pathlib import Path
 
-import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from magical.render import Renderer
+from magical.render import render_frame
 from magical.scene import Poses, View
 from magical.tasks import get_task
 from magical.tasks.programs.suite import SUITE, task_name
@@ -25,8 +24,7 @@ def main() -> None:
     pen, font = ImageDraw.Draw(sheet), ImageFont.load_default(11)
     for i, number in enumerate(SUITE[:16]):
         task = get_task(task_name(number))
-        frame = np.empty((SIZE, SIZE, 3), np.uint8)
-        Renderer(task.demo, View.ALLO, SIZE).render(Poses.at_rest(task.demo).bodies, frame)
+        frame = render_frame(task.demo, Poses.at_rest(task.demo), View.ALLO, SIZE)
         x, y = i % COLUMNS * (SIZE + 12) + 6, i // COLUMNS * (SIZE + TEXT)
         sheet.paste(Image.fromarray(frame), (x, y))
         words = textwrap.fill(f"{number}: {task.instruction(task.demo)}", 34)

@@ -1,14 +1,11 @@
 """A page about the suite of generated tasks: pictures, instructions, programs, expert scores."""
 
 import csv
-import io
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-import numpy as np
-from PIL import Image
-
-from magical.render import Renderer
+from magical.render import render_frame
+from magical.report.figures.clips import encoded
 from magical.scene import Poses, View
 from magical.tasks import Task, get_task
 from magical.tasks.programs.suite import HELD_OUT, TRAINING, task_name
@@ -58,8 +55,5 @@ def _cells(number: int, scores: Mapping[str, str]) -> Iterator[str]:
 
 def picture(task: Task) -> bytes:
     """A task's Demo scene as WebP."""
-    frame = np.empty((SIZE, SIZE, 3), np.uint8)
-    Renderer(task.demo, View.ALLO, SIZE).render(Poses.at_rest(task.demo).bodies, frame)
-    file = io.BytesIO()
-    Image.fromarray(frame).save(file, "webp", lossless=True)
-    return file.getvalue()
+    frame = render_frame(task.demo, Poses.at_rest(task.demo), View.ALLO, SIZE)
+    return encoded(frame, "WEBP", lossless=True)
