@@ -10,7 +10,6 @@ contradicts its scores. This runs the entry's code: do it only where that can do
 """
 
 import argparse
-import json
 import os
 import subprocess
 import sys
@@ -21,9 +20,10 @@ from pathlib import Path, PurePosixPath
 
 from magical.errors import MagicalError
 from magical.evaluation.entry import ENTRY_FILE
-from magical.files import LOCK, sha256_sum, write_atomically
+from magical.files import LOCK, sha256_sum
 from magical.report.found.search import Found, search_results
 from magical.report.leaderboard.checks import check_entries
+from magical.runs.folder import write_json
 from magical.untrusted import read_json
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -130,9 +130,7 @@ def _contradictions(folder: Path, submission: Submission) -> Iterator[str]:
 def describe(folder: Path, policies: Mapping[str, str]) -> None:
     """Write an entry's `submission.json`."""
     files = {name: sha256_sum(folder / name) for name in _files(folder)}
-    text = json.dumps({"policies": dict(policies), "files": files}, indent=2)
-    with write_atomically(folder / SUBMISSION) as file:
-        file.write(f"{text}\n".encode())
+    write_json(folder / SUBMISSION, {"policies": dict(policies), "files": files})
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -3,17 +3,16 @@
 import argparse
 import base64
 import inspect
-import json
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 from unittest import mock
 
 from magical import cli, errors
 from magical.learning import Config, algorithm_names, find_algorithm
 from magical.learning.config import options
 from tools import preset_tables, readme_tables
+from tools.run_notebook import read_notebook
 
 # Modules and a class that have a page. A module's page has its public names: `__all__`, or without
 # it all names that do not begin with an underscore.
@@ -169,7 +168,7 @@ def example_pages(root: Path) -> dict[str, str]:
 
 def notebook_pages(path: Path) -> dict[str, str | bytes]:
     """A notebook as a page with its stored outputs; pictures are separate files."""
-    notebook: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    notebook = read_notebook(path)
     place = f"examples/{path.stem}"
     repository = os.environ.get("GITHUB_REPOSITORY")  # set when a GitHub workflow builds the site
     colab = f"{COLAB}/{repository}/blob/main/{place}.ipynb"
