@@ -64,7 +64,7 @@ export function actionInWords(action) {
 }
 
 export function isField(target) {
-  return target.matches("input, select, button") && !target.matches("[type=checkbox]");
+  return target.matches("input, select, button");
 }
 
 export function make(name, attributes = {}, ...children) {

@@ -40,7 +40,7 @@ function hold(source, control, down) {
 
 export function keyDown(event) {
   if (event.key === "Escape") return element("stage").focus();
-  if (isField(event.target) || (event.key === " " && event.target.matches("input"))) return;
+  if (isField(event.target)) return;
   const control = KEYS[event.key];
   if (control) {
     event.preventDefault();
