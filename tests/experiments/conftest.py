@@ -14,6 +14,9 @@ from magical.experiments.results import Outcome, Results
 # What needs PyTorch cannot even be imported without it.
 collect_ignore_glob = [] if find_spec("torch") else ["test_*.py"]
 
+Planned = Callable[..., list[PlannedRun]]  # the fixture `planned`
+Started = list[PlannedRun]  # the fixture `inline`
+
 TINY = """
 tasks = ["MoveToRegion"]
 seeds = [0, 1]
@@ -40,7 +43,7 @@ def tiny(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def planned(tiny: Path) -> Callable[..., list[PlannedRun]]:
+def planned(tiny: Path) -> Planned:
     """The runs of the tiny plan, with parts of its text replaced."""
 
     def make(*changes: tuple[str, str], demos: str | None = None) -> list[PlannedRun]:
@@ -58,7 +61,7 @@ def planned(tiny: Path) -> Callable[..., list[PlannedRun]]:
 class InlineExecutor:
     """Finishes each run when it is started, in this process."""
 
-    def __init__(self, results: Results, started: list[PlannedRun]) -> None:
+    def __init__(self, results: Results, started: Started) -> None:
         self.results, self.started = results, started
 
     def slots(self) -> int:
@@ -89,9 +92,9 @@ def out(tmp_path: Path) -> Path:
 
 
 @contextmanager
-def in_this_process() -> Iterator[list[PlannedRun]]:
+def in_this_process() -> Iterator[Started]:
     """A context in which plans are executed in this process; the list of the runs started."""
-    started: list[PlannedRun] = []
+    started: Started = []
 
     def make(runs: list[PlannedRun], results: Results, resources: object) -> InlineExecutor:
         return InlineExecutor(results, started)
@@ -103,16 +106,14 @@ def in_this_process() -> Iterator[list[PlannedRun]]:
 
 
 @pytest.fixture
-def inline() -> Iterator[list[PlannedRun]]:
+def inline() -> Iterator[Started]:
     """Execute plans in this process; the list of the runs that were started."""
     with in_this_process() as started:
         yield started
 
 
 @pytest.fixture(scope="session")
-def finished(
-    planned: Callable[..., list[PlannedRun]], tmp_path_factory: pytest.TempPathFactory
-) -> Path:
+def finished(planned: Planned, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The results of the tiny plan; not to be changed."""
     from magical.experiments.execution import execute
 

@@ -4,7 +4,6 @@ import json
 import os
 import shutil
 import signal
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -19,10 +18,7 @@ from magical.errors import DatasetError, DemonstrationsError, ResultsError
 from magical.evaluation import read_entry
 from magical.experiments.demonstrations import generate_missing
 from magical.experiments.execution import execute
-from magical.experiments.plan import PlannedRun
-
-Planned = Callable[..., list[PlannedRun]]
-Started = list[PlannedRun]
+from tests.experiments.conftest import Planned, Started
 
 
 def test_demonstrations_of_a_dataset(

@@ -5,7 +5,6 @@ import json
 import os
 import shutil
 import signal
-from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,6 @@ from magical.evaluation import Evaluation, environments, read_entry
 from magical.experiments import forecast, one_run, results
 from magical.experiments.execution import LocalExecutor, Resources, execute
 from magical.experiments.one_run import evaluate_reference
-from magical.experiments.plan import PlannedRun
 from magical.experiments.results import Results
 from magical.experiments.status import read_status
 from magical.files import lock_now
@@ -29,10 +27,8 @@ from magical.runs import versions
 from magical.runs.machine import machine
 from magical.runs.plan import read_listing
 from magical.tasks import unregister_task
+from tests.experiments.conftest import Planned, Started
 from tests.experiments.processes import scores_of
-
-Planned = Callable[..., list[PlannedRun]]
-Started = list[PlannedRun]
 
 
 def results_of(out: Path) -> dict[str, dict[str, Any]]:

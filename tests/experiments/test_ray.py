@@ -3,7 +3,6 @@
 import signal
 import socket
 import threading
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -14,13 +13,11 @@ from ray.cluster_utils import Cluster
 
 from magical.cli import main
 from magical.experiments.execution import Resources, execute
-from magical.experiments.plan import PlannedRun
 from magical.experiments.ray_cluster import RayExecutor, pack, unpack
 from magical.experiments.results import Results, opened
 from magical.experiments.status import read_status
+from tests.experiments.conftest import Planned
 from tests.experiments.processes import TIMEOUT, reached, running, scores_of
-
-Planned = Callable[..., list[PlannedRun]]
 
 
 @pytest.fixture(autouse=True)

@@ -2,7 +2,6 @@
 
 import json
 import shutil
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,13 +11,12 @@ import pytest
 from magical.evaluation import Entry, Evaluation, environments, read_entry
 from magical.evaluation.collection import write_collection
 from magical.evaluation.entry import ENTRY_FILE, SCORES_FILE
-from magical.experiments.plan import PlannedRun, planned_runs, read_plan
+from magical.experiments.plan import planned_runs, read_plan
 from magical.report.found.search import search_results
 from magical.report.leaderboard import make_leaderboard
 from studies import collect as collect_results
 from studies.generated_tasks.baselines import read_methods
-
-Planned = Callable[..., list[PlannedRun]]
+from tests.experiments.conftest import Planned
 
 
 @pytest.fixture

@@ -1,7 +1,6 @@
 """What methods lose between Demo and TestAll."""
 
 import math
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -11,8 +10,7 @@ from magical.evaluation import environments, published_tasks
 from magical.report.found.search import search_results
 from studies.published_tables.generalisation import find_drops
 from studies.published_tables.rows import make_rows
-
-WriteEntry = Callable[..., Path]
+from tests.report.conftest import WriteEntry
 
 
 def write_run(

@@ -2,23 +2,20 @@
 
 import json
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from magical.experiments.execution import execute
-from magical.experiments.plan import PlannedRun
 from magical.experiments.results import planned_states
 from magical.experiments.status import read_status
 from studies import collect as collect_results
 from studies import restore as restore_results
-
-Planned = Callable[..., list[PlannedRun]]
+from tests.experiments.conftest import Planned, Started
 
 
 def test_a_plan_goes_on_where_it_was_collected(
-    finished: Path, tiny: Path, planned: Planned, inline: list[PlannedRun], tmp_path: Path
+    finished: Path, tiny: Path, planned: Planned, inline: Started, tmp_path: Path
 ) -> None:
     copied = Path(shutil.copytree(finished, tmp_path / "runs"))
     first, second = (run.folder for run in planned())

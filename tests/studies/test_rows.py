@@ -1,7 +1,7 @@
 """Which entries count, which do not and why, and what they are held against."""
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +12,7 @@ from magical import __version__
 from magical.evaluation import environments
 from magical.report.found.search import search_results
 from studies.published_tables.rows import make_rows, published_row
-
-WriteEntry = Callable[..., Path]
+from tests.report.conftest import WriteEntry
 
 
 def scores(task: str, value: float, rollouts: int = 100) -> Mapping[str, list[float]]:

@@ -2,7 +2,6 @@
 
 import shutil
 import zipfile
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,11 +9,9 @@ import pytest
 
 from magical.cli import main as magical
 from magical.evaluation import read_entry
-from magical.experiments.plan import PlannedRun
 from studies import collect as collect_results
 from studies import weights
-
-Planned = Callable[..., list[PlannedRun]]
+from tests.experiments.conftest import Planned
 
 
 @pytest.fixture
