@@ -257,8 +257,8 @@ def test_show_knows_every_generated_task(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("out", ["", "."])
 def test_a_folder_is_no_file_to_write(out: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["show", "magical/MoveToRegion-Demo-v0", "--out", out]) == 1
-    assert "error: [Errno 21] expected the path of a file" in capsys.readouterr().err
+    assert cli.main(["show", "magical/MoveToRegion-Demo-v0", "--out", out]) == 2
+    assert "--out: expected a file, found the folder" in capsys.readouterr().err
 
 
 def test_names_of_any_bytes_can_be_printed(monkeypatch: pytest.MonkeyPatch) -> None:

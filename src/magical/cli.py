@@ -110,7 +110,10 @@ def _import_modules(argv: Sequence[str] | None) -> list[str]:
     _add_import(parser)
     found, rest = parser.parse_known_args(argv)
     for module in found.imports:
-        import_user_module(module)
+        imported = import_user_module(module)
+        from magical.tasks.registry import register_tasks_of  # only here, for a quick start
+
+        register_tasks_of(imported)
     return rest
 
 

@@ -11,6 +11,8 @@ from magical.commands.evaluate import print_scores
 from magical.envs import EnvId
 from magical.evaluation import RolloutScore, read_entry
 from magical.report.leaderboard.checks import faults
+from magical.runs.folder import write_json
+from magical.tasks import unregister_task
 
 POLICY = """
 import numpy as np
@@ -99,6 +101,34 @@ def test_out_holds_an_entry(capsys: pytest.CaptureFixture[str], tmp_path: Path) 
     assert [row.seed for row in entry.scores] == [1_003_000_000, 1_003_000_001]
     _, _, err = evaluate(capsys, "random", *argv, "--out", str(tmp_path))
     assert f"replaces the scores in {tmp_path}: 2 rollouts in 1 environments, nudge 1e-09" in err
+    written = (tmp_path / "entry.json").read_bytes()
+    status, _, err = evaluate(capsys, "noop", *argv, "--out", str(tmp_path))
+    assert (status, f"{tmp_path}: belongs to another policy, 'random'" in err) == (2, True)
+    assert (tmp_path / "entry.json").read_bytes() == written
+
+
+def test_no_scores_of_another_policy_in_a_run_folder(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    write_json(tmp_path / "config.json", {"algorithm": "bc"})
+    status, _, err = evaluate(capsys, "noop", "--out", str(tmp_path))
+    assert (status, "belongs to another policy, '.'" in err) == (2, True)
+
+
+def test_import_registers_the_tasks_of_a_module(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    file = tmp_path / "renamed.py"
+    file.write_text(
+        "import dataclasses, magical.tasks\n"
+        "TASK = dataclasses.replace(magical.tasks.get_task('MakeLine'), name='Renamed')\n"
+    )
+    argv = ["--task", "Renamed", "--variants", "Demo", "--rollouts", "1"]
+    assert evaluate(capsys, "noop", *argv)[0] == 2
+    try:
+        assert evaluate(capsys, "noop", *argv, "--import", str(file))[0] == 0
+    finally:
+        unregister_task("Renamed")
 
 
 @pytest.mark.parametrize(

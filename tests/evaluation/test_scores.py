@@ -168,6 +168,8 @@ def test_an_entry_names_other_actions_than_the_discrete_ones(
 def test_half_an_entry_says_what_is_missing(tmp_path: Path, missing: str) -> None:
     Entry(method="mine", scores=SCORES).write(tmp_path)
     (tmp_path / missing).unlink()
+    with pytest.raises(ScoresError, match=r"gone: expected a folder, found nothing"):
+        read_entry(tmp_path / "gone")
     with pytest.raises(ScoresError, match=f"found no {missing}; `magical evaluate"):
         read_entry(tmp_path)
 

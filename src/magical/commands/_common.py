@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from magical.errors import MagicalError
+from magical.messages import quoted
 
 FAILED, USAGE, INTERRUPTED = 1, 2, 130  # exit statuses
 
@@ -132,8 +133,16 @@ def add_workers(parser: argparse.ArgumentParser) -> None:
 def add_out(
     parser: argparse.ArgumentParser, meaning: str, metavar: str = "DIR", *, required: bool = False
 ) -> None:
-    """Add `--out`, a path."""
-    parser.add_argument("--out", type=Path, required=required, metavar=metavar, help=meaning)
+    """Add `--out`, a path; one whose `metavar` begins with FILE must not be a folder."""
+    kind = file_path if metavar.startswith("FILE") else Path
+    parser.add_argument("--out", type=kind, required=required, metavar=metavar, help=meaning)
+
+
+def file_path(text: str) -> Path:
+    """An argparse type: the path of a file, which need not exist."""
+    if Path(text).is_dir():
+        raise argparse.ArgumentTypeError(f"expected a file, found the folder {quoted(text)}")
+    return Path(text)
 
 
 def print_json(args: argparse.Namespace, result: Mapping[str, Any]) -> None:

@@ -5,7 +5,7 @@ POLICY is a run folder, `random`, `noop`, `expert`, or a policy of your own as `
 """
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -30,6 +30,7 @@ from magical.commands._common import (
     print_table,
 )
 from magical.errors import MagicalError
+from magical.messages import quoted
 from magical.runs.sources import parse_source
 from magical.scene.constants import MAX_NUDGE
 from magical.tasks import parse_horizon
@@ -112,9 +113,10 @@ def run(args: argparse.Namespace) -> int:
         horizon=args.horizon,
         nudge=nudge if args.nudge is None else args.nudge,
     )
-    method = args.method or Path(args.policy).absolute().name  # also for "."
+    method = Path(args.policy).absolute().name if args.method is None else args.method  # also "."
     if args.out:
         details = _details(args)
+        _check_folder(args, details)
         entry = Entry.of(policy, evaluation, method=method, details=details).merged(args.out)
     if args.leaderboard and (why := _why_unranked(entry, evaluation)):
         raise UsageError(f"--leaderboard: the entry would not be ranked: {'; '.join(why)}")
@@ -129,6 +131,23 @@ def run(args: argparse.Namespace) -> int:
         log(f"wrote scores.csv and entry.json to {args.out}")
     print_json(args, summarise(scores))
     return 0
+
+
+def _check_folder(args: argparse.Namespace, details: Mapping[str, Any]) -> None:
+    """Refuse to replace another policy's scores, or to add scores to another policy's run."""
+    from magical.evaluation import read_entry
+    from magical.evaluation.entry import POLICY
+    from magical.runs import is_run
+
+    evaluated = details[POLICY]
+    with suppress(MagicalError, OSError):
+        evaluated = read_entry(args.out).details.get(POLICY, evaluated)
+    if is_run(args.out) and args.out.resolve() != Path(args.policy).resolve():
+        evaluated = "."
+    if evaluated != details[POLICY]:
+        raise UsageError(
+            f"{args.out}: belongs to another policy, {quoted(evaluated)}; choose another folder"
+        )
 
 
 def _announce_replacement(folder: Path) -> None:

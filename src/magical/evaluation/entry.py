@@ -191,6 +191,9 @@ def read_entry(folder: Path | str) -> Entry:
             message says which and what was expected.
     """
     source = Path(folder)
+    if not source.is_dir():
+        found = "a file" if source.exists() else "nothing"
+        raise ScoresError(f"{source}: expected a folder, found {found}")
     for name in (SCORES_FILE, ENTRY_FILE):
         if not (source / name).exists():
             raise ScoresError(

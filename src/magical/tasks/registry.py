@@ -5,6 +5,7 @@ import pkgutil
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from difflib import get_close_matches
 from functools import partial
+from types import ModuleType
 from typing import Any, TypeVar
 
 from magical.errors import InvalidTaskError, PluginError, UnknownNameError
@@ -88,9 +89,10 @@ def get_task(name: str) -> Task:
     if name in TASKS:
         return TASKS[name]
     close = get_close_matches(str(name), TASKS, n=1)
-    hint = f"did you mean {close[0]!r}?" if close else "import or install what registers it"
+    hint = f"did you mean {close[0]!r}? " if close else ""
     raise UnknownNameError(
         f"task {name!r} is not registered; expected one of: {', '.join(TASKS)}; {hint}"
+        "A task of another distribution or file must be installed or imported first"
     )
 
 
@@ -120,11 +122,16 @@ def possible_variants(name: str) -> tuple[str, ...]:
 
 
 def load_tasks(modules: Iterable[str]) -> None:
-    """Import modules by name and register the tasks that they hold, unless this is done already."""
+    """Import modules by name and register the tasks that they hold."""
     for module in modules:
-        for task in vars(importlib.import_module(module)).values():
-            if isinstance(task, Task) and task.name not in _tasks:
-                register_task(task)
+        register_tasks_of(importlib.import_module(module))
+
+
+def register_tasks_of(module: ModuleType) -> None:
+    """Register the tasks that a module holds, except those with names that are known already."""
+    for task in vars(module).values():
+        if isinstance(task, Task) and task.name not in TASKS:
+            register_task(task)
 
 
 def with_tasks(work: Callable[[Item], Result], modules: Iterable[str]) -> Callable[[Item], Result]:

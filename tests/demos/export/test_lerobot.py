@@ -120,5 +120,8 @@ def test_failed_lerobot_export_leaves_no_files(mixed: Path, tmp_path: Path) -> N
 
 
 def test_lerobot_needs_a_folder(mixed: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["demos", "export", str(mixed), "--to", "lerobot"]) == 2
+    command = ["demos", "export", str(mixed), "--to", "lerobot"]
+    assert main(command) == 2
     assert "--out" in capsys.readouterr().err
+    assert main([*command, "--name", "mine"]) == 2
+    assert "--name: not for --to lerobot" in capsys.readouterr().err

@@ -100,7 +100,7 @@ def test_nothing_but_damaged_entries_is_an_error(write_entry: WriteEntry, tmp_pa
     (write_entry("bad", "bad", LINE) / "scores.csv").write_text("nothing")
     with pytest.raises(ScoresError, match="expected the header"):
         find_results([tmp_path])
-    with pytest.raises(ScoresError, match=r"found no scores\.csv"):
+    with pytest.raises(ScoresError, match=r"expected a folder, found nothing"):
         find_results([tmp_path / "missing"])
 
 

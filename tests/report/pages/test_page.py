@@ -77,7 +77,9 @@ def test_the_report_command_names_what_is_missing(
     evaluated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert cli.main(["report", str(tmp_path / "none")]) == 1
-    assert "found no scores.csv" in capsys.readouterr().err
+    assert "none: expected a folder, found nothing" in capsys.readouterr().err
+    assert cli.main(["report", str(evaluated), "--out", str(tmp_path)]) == 2
+    assert "expected a file, found the folder" in capsys.readouterr().err
     assert cli.main(["report", str(evaluated), "--published", "BC"]) == 2
     assert "BC (ST)" in capsys.readouterr().err
 

@@ -1,4 +1,4 @@
-"""The environment with LeRobot's keys; it needs no LeRobot."""
+"""The environment with LeRobot's keys."""
 
 from typing import Any, ClassVar
 

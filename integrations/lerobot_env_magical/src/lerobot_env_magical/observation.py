@@ -1,4 +1,4 @@
-"""What LeRobot's policies observe, as an observation of the package; it needs no LeRobot."""
+"""What LeRobot's policies observe, as an observation of the package."""
 
 from dataclasses import dataclass
 from typing import Any

@@ -124,17 +124,12 @@ def _export(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--to", choices=("minari", "lerobot"), required=True, help="target format")
     meaning = "lerobot: a new folder; minari: the folder of datasets (default: Minari's own)"
     add_out(parser, meaning, "FOLDER")
-    parser.add_argument(
-        "--name", default="demos", help="minari: last part of the dataset id (default: demos)"
-    )
-    parser.add_argument(
-        "--preset", default="LoRes4E", help="minari: observation preset (default: LoRes4E)"
-    )
+    parser.add_argument("--name", help="minari: last part of the dataset id (default: demos)")
+    parser.add_argument("--preset", help="minari: observation preset (default: LoRes4E)")
     _action_space(parser, "type of the exported actions (default: the dataset's)")
     parser.add_argument(
         "--instruction",
         choices=("attributes", "task"),
-        default="attributes",
         help="lerobot: an instruction that names colours and shapes, or the task's (default: "
         "attributes)",
     )

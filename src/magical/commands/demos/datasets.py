@@ -181,6 +181,10 @@ def run_export(args: argparse.Namespace) -> int:
     """`magical demos export`."""
     from magical.demos import Dataset
 
+    names = {"minari": ("name", "preset"), "lerobot": ("instruction",)}
+    given = {n: v for n in sum(names.values(), ()) if (v := getattr(args, n)) is not None}
+    if other := [f"--{name}" for name in given if name not in names[args.to]]:
+        raise UsageError(f"{' '.join(other)}: not for --to {args.to}")
     dataset = Dataset.open(args.dataset, skip_damaged=args.skip_damaged)
     _log_problems(dataset.problems)
     result: dict[str, Any] = {"to": args.to}
@@ -188,7 +192,7 @@ def run_export(args: argparse.Namespace) -> int:
         from magical.demos.export.minari import export_minari
 
         result["datasets"] = export_minari(
-            dataset, args.name, args.preset, args.out, args.action_space
+            dataset, root=args.out, action_space=args.action_space, **given
         )
         print("\n".join(result["datasets"]))
     else:
@@ -196,7 +200,7 @@ def run_export(args: argparse.Namespace) -> int:
 
         if args.out is None:
             raise UsageError("--out: expected a new folder for the LeRobot dataset, found none")
-        frames = export_lerobot(dataset, args.out, args.action_space, args.instruction)
+        frames = export_lerobot(dataset, args.out, args.action_space, **given)
         result |= {"out": str(args.out), "frames": frames}
         print(f"wrote {args.out}: {len(dataset)} episodes, {result['frames']} frames")
     print_json(args, {**result, "episodes": len(dataset)})

@@ -91,7 +91,8 @@ class Run:
             if name in self.record and self.record[name] != fact:
                 raise RunFolderError(
                     f"{self.folder}: the run began with other {name}; expected "
-                    f"{quoted(self.record[name])}, found {quoted(fact)}"
+                    f"{_first_difference(self.record[name], fact)}; restore what it began with, or "
+                    "start a new run"
                 )
         if not set(facts) <= set(self.record):
             self._write_record(facts)
@@ -180,3 +181,11 @@ def _is_finite(node: Any) -> bool:
     if isinstance(node, list | tuple):
         return all(map(_is_finite, node))
     return not isinstance(node, float) or math.isfinite(node)
+
+
+def _first_difference(before: Any, now: Any) -> str:
+    """Two values for a message, or of two lists the first items that differ."""
+    if isinstance(before, list) and isinstance(now, list):
+        pairs = (pair for pair in zip(before, now, strict=False) if pair[0] != pair[1])
+        before, now = next(pairs, (before, now))
+    return f"{quoted(before)}, found {quoted(now)}"
