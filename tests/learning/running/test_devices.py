@@ -19,6 +19,7 @@ from magical.learning.running.devices import (
     choose_compute,
     choose_device,
     cpu_threads,
+    flushed_denormals,
     full_float32,
     has_bfloat16,
     restored_threads,
@@ -53,6 +54,19 @@ def test_threads_are_pytorchs_own_number_unless_given() -> None:
         torch.set_num_threads(2)
         assert choose_compute("cpu", "float32", 0).threads == 2
         assert choose_compute("cuda", "float32", 0).threads == 0
+
+
+@pytest.mark.skipif(not torch.set_flush_denormal(False), reason="the CPU always keeps denormals")
+@pytest.mark.parametrize("before", [False, True])
+def test_denormals_are_flushed_inside_alone(before: bool) -> None:
+    small = torch.full((64,), 1e-38) / 4.0
+    torch.set_flush_denormal(before)
+    try:
+        with flushed_denormals():
+            assert not (small / 4.0).any()
+        assert bool((small / 4.0).any()) != before
+    finally:
+        torch.set_flush_denormal(False)
 
 
 def test_every_way_is_measured() -> None:

@@ -136,6 +136,20 @@ def full_float32() -> Iterator[None]:
 
 
 @contextmanager
+def flushed_denormals() -> Iterator[None]:
+    """Context manager in which this thread rounds numbers below 1e-38 to 0, if its CPU can.
+
+    Arithmetic with such numbers is slow, and Adam's averages are full of them once units are dead.
+    """
+    flushed = bool(torch.tensor(1e-40) * 1.0 == 0.0)
+    torch.set_flush_denormal(True)
+    try:
+        yield
+    finally:
+        torch.set_flush_denormal(flushed)
+
+
+@contextmanager
 def restored_threads() -> Iterator[None]:
     """Context manager that restores PyTorch's number of threads on exit.
 

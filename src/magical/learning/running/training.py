@@ -14,6 +14,7 @@ from magical.learning.running.allocator import keep_freed_memory
 from magical.learning.running.checkpoints import restore_previous_checkpoint
 from magical.learning.running.devices import (
     choose_device,
+    flushed_denormals,
     full_float32,
     gpu_memory_as_error,
     restored_threads,
@@ -126,6 +127,7 @@ def _opened(folder: Path, config: Config, resume: bool, previous: bool) -> Itera
         restored_threads(),
         restored_generators(choose_device(config.device)),
         full_float32(),
+        flushed_denormals(),
         gpu_memory_as_error(),
     ):
         if previous:
