@@ -100,6 +100,7 @@ def policy_names() -> tuple[str, ...]:
 def _as_policy(thing: Any, name: str = "policy") -> Policy:
     """Return or make a policy from what `load_policy` accepts; raises `PolicyError`."""
     if not inspect.isclass(thing) and callable(getattr(thing, "act", None)):
+        _check_signature(thing.act, name)
         return thing if isinstance(thing, Policy) else FunctionPolicy(thing.act, thing)
     if not callable(thing):
         raise PolicyError(f"{name}: {_EXPECTED}, found {type(thing).__name__} {thing!r}")
@@ -107,19 +108,23 @@ def _as_policy(thing: Any, name: str = "policy") -> Policy:
         made = thing()
         if not callable(getattr(made, "act", None)):
             raise PolicyError(f"{name}: called without arguments; {_EXPECTED}, found {made!r}")
-        return _as_policy(made)
+        return _as_policy(made, name)
     if inspect.isclass(thing):
         raise PolicyError(
             f"{name}: expected a class that can be instantiated without arguments, found "
             f"{thing.__name__}; name a function that makes it"
         )
+    _check_signature(thing, name)
+    return FunctionPolicy(thing)
+
+
+def _check_signature(act: Callable[..., Any], name: str) -> None:
     try:
-        inspect.signature(thing).bind("observations", "env_ids", "rng")
+        inspect.signature(act).bind("observations", "env_ids", "rng")
     except TypeError as error:
-        raise PolicyError(f"{name}: {_EXPECTED}, found {thing!r}: {error}") from error
+        raise PolicyError(f"{name}: {_EXPECTED}, found {act!r}: {error}") from error
     except ValueError:  # compiled functions need not have a signature
         pass
-    return FunctionPolicy(thing)
 
 
 _EXPECTED = (
