@@ -89,10 +89,10 @@ def get_task(name: str) -> Task:
     if name in TASKS:
         return TASKS[name]
     close = get_close_matches(str(name), TASKS, n=1)
-    hint = f"did you mean {close[0]!r}? " if close else ""
+    hint = f"did you mean {close[0]!r}? Otherwise " if close else ""
     raise UnknownNameError(
         f"task {name!r} is not registered; expected one of: {', '.join(TASKS)}; {hint}"
-        "A task of another distribution or file must be installed or imported first"
+        "import or install what registers it"
     )
 
 
