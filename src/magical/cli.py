@@ -23,6 +23,7 @@ from magical.commands._common import FAILED, INTERRUPTED, USAGE, UsageError
 from magical.errors import MagicalError, PlanError, UnknownNameError
 from magical.extras import missing
 from magical.plugins import import_user_module
+from magical.tasks.registry import register_tasks_of
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -110,10 +111,7 @@ def _import_modules(argv: Sequence[str] | None) -> list[str]:
     _add_import(parser)
     found, rest = parser.parse_known_args(argv)
     for module in found.imports:
-        imported = import_user_module(module)
-        from magical.tasks.registry import register_tasks_of  # only here, for a quick start
-
-        register_tasks_of(imported)
+        register_tasks_of(import_user_module(module))
     return rest
 
 

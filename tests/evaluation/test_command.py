@@ -103,7 +103,7 @@ def test_out_holds_an_entry(capsys: pytest.CaptureFixture[str], tmp_path: Path) 
     assert f"replaces the scores in {tmp_path}: 2 rollouts in 1 environments, nudge 1e-09" in err
     written = (tmp_path / "entry.json").read_bytes()
     status, _, err = evaluate(capsys, "noop", *argv, "--out", str(tmp_path))
-    assert (status, f"{tmp_path}: belongs to another policy, 'random'" in err) == (2, True)
+    assert (status, f"{tmp_path}: belongs to 'random'; choose another" in err) == (2, True)
     assert (tmp_path / "entry.json").read_bytes() == written
 
 
@@ -112,7 +112,7 @@ def test_no_scores_of_another_policy_in_a_run_folder(
 ) -> None:
     write_json(tmp_path / "config.json", {"algorithm": "bc"})
     status, _, err = evaluate(capsys, "noop", "--out", str(tmp_path))
-    assert (status, "belongs to another policy, '.'" in err) == (2, True)
+    assert (status, "belongs to 'the run in it'; choose" in err) == (2, True)
 
 
 def test_import_registers_the_tasks_of_a_module(

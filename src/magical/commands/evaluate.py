@@ -139,15 +139,13 @@ def _check_folder(args: argparse.Namespace, details: Mapping[str, Any]) -> None:
     from magical.evaluation.entry import POLICY
     from magical.runs import is_run
 
-    evaluated = details[POLICY]
+    owner = details[POLICY]
     with suppress(MagicalError, OSError):
-        evaluated = read_entry(args.out).details.get(POLICY, evaluated)
+        owner = read_entry(args.out).details.get(POLICY, owner)
     if is_run(args.out) and args.out.resolve() != Path(args.policy).resolve():
-        evaluated = "."
-    if evaluated != details[POLICY]:
-        raise UsageError(
-            f"{args.out}: belongs to another policy, {quoted(evaluated)}; choose another folder"
-        )
+        owner = "the run in it"
+    if owner != details[POLICY]:
+        raise UsageError(f"{args.out}: belongs to {quoted(owner)}; choose another folder")
 
 
 def _announce_replacement(folder: Path) -> None:

@@ -150,9 +150,8 @@ def train(config: ALConfig, run: Run) -> None:
         autoencoder = make_autoencoder(config).to(ppo.device)
         if not pretrain(config, run, ppo, expert, autoencoder):
             return
-        if "apprentice" not in (
-            run.saved or {}
-        ):  # later, the encoder's batch norm may have changed
+        is_imitating = "apprentice" in (run.saved or {})
+        if not is_imitating:  # which may have changed the encoder's batch norm
             save_expert_reconstructions(run, ppo, expert, autoencoder)
         imitate(config, run, ppo, expert, autoencoder)
 
