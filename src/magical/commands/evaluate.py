@@ -5,7 +5,7 @@ POLICY is a run folder, `random`, `noop`, `expert`, or a policy of your own as `
 """
 
 import argparse
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -97,9 +97,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Evaluate, print, write."""
     from magical.evaluation import Entry, environments, load_policy, summarise
+    from magical.evaluation.entry import POLICY
     from magical.evaluation.protocol import NUDGE, Evaluation
     from magical.evaluation.rollouts import roll_out
-    from magical.files import make_folder
     from magical.progress import ProgressBar
 
     policy = load_policy(args.policy)
@@ -116,13 +116,11 @@ def run(args: argparse.Namespace) -> int:
     method = Path(args.policy).absolute().name if args.method is None else args.method  # also "."
     if args.out:
         details = _details(args)
-        _check_folder(args, details)
         entry = Entry.of(policy, evaluation, method=method, details=details).merged(args.out)
     if args.leaderboard and (why := _why_unranked(entry, evaluation)):
         raise UsageError(f"--leaderboard: the entry would not be ranked: {'; '.join(why)}")
     if args.out:
-        make_folder(args.out)  # an unwritable folder is noticed before the rollouts
-        _announce_replacement(args.out)
+        _prepare_folder(args, entry.details[POLICY])
     with ProgressBar("rollouts", len(evaluation.env_ids) * args.rollouts) as bar:
         scores = roll_out(policy, evaluation, workers=args.workers, progress=bar.advance)
     print_scores(scores)
@@ -133,32 +131,32 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _check_folder(args: argparse.Namespace, details: Mapping[str, Any]) -> None:
-    """Refuse to replace another policy's scores, or to add scores to another policy's run."""
+def _prepare_folder(args: argparse.Namespace, policy: str) -> None:
+    """Make the folder, so that an unwritable one is noticed, and say which scores are replaced.
+
+    Another policy's scores are not replaced, and a run folder gets only those of its own policy.
+    """
     from magical.evaluation import read_entry
     from magical.evaluation.entry import POLICY
+    from magical.files import make_folder
     from magical.runs import is_run
 
-    owner = details[POLICY]
+    owner, replaced = policy, ""
     with suppress(MagicalError, OSError):
-        owner = read_entry(args.out).details.get(POLICY, owner)
-    if is_run(args.out) and args.out.resolve() != Path(args.policy).resolve():
-        owner = "the run in it"
-    if owner != details[POLICY]:
-        raise UsageError(f"{args.out}: belongs to {quoted(owner)}; choose another folder")
-
-
-def _announce_replacement(folder: Path) -> None:
-    """Say what the folder's scores were; they are replaced when all rollouts are done."""
-    from magical.evaluation import read_entry
-
-    with suppress(MagicalError, OSError):
-        old = read_entry(folder)
+        old = read_entry(args.out)
+        owner = old.details.get(POLICY, policy)
         env_ids = {row.env_id for row in old.scores}
-        log(
-            f"replaces the scores in {folder}: {len(old.scores)} rollouts in {len(env_ids)} "
+        replaced = (
+            f"replaces the scores in {args.out}: {len(old.scores)} rollouts in {len(env_ids)} "
             f"environments, nudge {old.nudge:g}"
         )
+    if is_run(args.out) and args.out.resolve() != Path(args.policy).resolve():
+        owner = "the run in it"
+    if owner != policy:
+        raise UsageError(f"{args.out}: belongs to {quoted(owner)}; choose another folder")
+    make_folder(args.out)
+    if replaced:
+        log(replaced)
 
 
 def _check_options(args: argparse.Namespace, policy: "Policy") -> None:

@@ -181,9 +181,10 @@ def run_export(args: argparse.Namespace) -> int:
     """`magical demos export`."""
     from magical.demos import Dataset
 
-    names = {"minari": ("name", "preset"), "lerobot": ("instruction",)}
-    given = {n: v for n in sum(names.values(), ()) if (v := getattr(args, n)) is not None}
-    if other := [f"--{name}" for name in given if name not in names[args.to]]:
+    own = ("name", "preset") if args.to == "minari" else ("instruction",)
+    options = ("name", "preset", "instruction")
+    given = {name: v for name in options if (v := getattr(args, name)) is not None}
+    if other := [f"--{name}" for name in given if name not in own]:
         raise UsageError(f"{' '.join(other)}: not for --to {args.to}")
     dataset = Dataset.open(args.dataset, skip_damaged=args.skip_damaged)
     _log_problems(dataset.problems)
