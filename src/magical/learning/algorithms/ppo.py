@@ -30,6 +30,7 @@ from magical.learning.reinforcement.trainer import InteractionTrainer
 from magical.learning.running.averages import Averages
 from magical.learning.running.checkpoints import StateDict, restoring
 from magical.learning.running.optimizers import set_learning_rate
+from magical.learning.running.replay import ReplayedStep
 from magical.learning.running.run import Run
 from magical.learning.running.streams import Purpose, seeded_init, stream
 from magical.learning.settings import FRACTION, NOT_NEGATIVE, POSITIVE, option
@@ -199,6 +200,7 @@ class PPOTrainer(InteractionTrainer):
     def __init__(self, config: ReinforcementConfig, run: Run, reward: Reward = "none") -> None:
         """See `InteractionTrainer`."""
         super().__init__(config, run, make_policy(config), config.ppo.learning_rate, reward)
+        self._replayed = ReplayedStep(self._step, self.optimizer)
 
     def remaining_updates(self) -> range:
         """The numbers of the remaining updates."""
@@ -239,7 +241,7 @@ class PPOTrainer(InteractionTrainer):
             for _ in range(ppo.epochs):
                 order = torch.from_numpy(shuffle_evenly(tasks, rng)).to(self.device)
                 for rows in torch.split(order, ppo.minibatch_size):
-                    averages.add(len(rows), **self._step(samples.select(rows), clip_range))
+                    averages.add(len(rows), **self._replayed(clip_range, *samples.select(rows)))
         return {
             "reward": rewards.mean().item(),
             "reward_std": rewards.std(correction=0).item(),
@@ -247,8 +249,9 @@ class PPOTrainer(InteractionTrainer):
             "explained_variance": explained_variance(rollout.values.flatten(), samples.returns),
         }
 
-    def _step(self, minibatch: "Samples", clip_range: Tensor) -> dict[str, Tensor]:
-        """Take one optimiser step; returns the parts of the loss."""
+    def _step(self, clip_range: Tensor, *samples: Tensor) -> dict[str, Tensor]:
+        """Take one optimiser step on a minibatch of `Samples`; returns the parts of the loss."""
+        minibatch = Samples(*samples)
         logits, values = self.forward(minibatch.observations, minibatch.tasks, in_range=True)
         loss, parts = ppo_loss(logits, values, minibatch, clip_range, self.config.ppo.ent_coef)
         self.optimizer.zero_grad()

@@ -13,7 +13,10 @@ from magical.learning.running.checkpoints import StateDict
 def set_learning_rate(optimizer: Optimizer, learning_rate: float) -> None:
     """Change the learning rate of all parameters."""
     for group in optimizer.param_groups:
-        group["lr"] = learning_rate
+        if isinstance(group["lr"], Tensor):  # which a recorded step reads
+            group["lr"].fill_(learning_rate)
+        else:
+            group["lr"] = learning_rate
 
 
 def optimizer_state(optimizer: Optimizer) -> StateDict:
