@@ -34,18 +34,19 @@ class ReplayedStep:
             self._shapes = self._shapes or shapes
             return self._step(*inputs)
         if self._graph is None:
-            self._record(inputs)
+            self._graph = self._recorded(inputs)
         for own, new in zip(self._inputs, inputs, strict=True):
             own.copy_(new)
         self._graph.replay()
         return self._outputs
 
-    def _record(self, inputs: Sequence[Tensor]) -> None:
-        """Record the step with copies of the inputs, without taking it."""
+    def _recorded(self, inputs: Sequence[Tensor]) -> torch.cuda.CUDAGraph:
+        """The graph of the step with copies of the inputs; recording does not take the step."""
         self._inputs = [tensor.clone() for tensor in inputs]
         for group in self._optimizer.param_groups:
             rate = torch.as_tensor(group["lr"], device=inputs[0].device)
             group.update(lr=rate, capturable=True)
-        self._graph = torch.cuda.CUDAGraph()
-        with torch.cuda.graph(self._graph):
+        graph = torch.cuda.CUDAGraph()
+        with torch.cuda.graph(graph):
             self._outputs = self._step(*self._inputs)
+        return graph
