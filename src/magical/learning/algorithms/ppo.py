@@ -23,6 +23,7 @@ from magical.learning.algorithms import Algorithm
 from magical.learning.augmentation.augment import to_unit
 from magical.learning.config import IMAGE_OBSERVATIONS, PUBLISHED, NetworkSettings
 from magical.learning.models import ActorCritic, Trunk, centre, init_normal
+from magical.learning.networks import GROUP as NETWORKS
 from magical.learning.reinforcement.interaction import InteractionConfig, InteractionSettings
 from magical.learning.reinforcement.monitoring import Metrics, explained_variance
 from magical.learning.reinforcement.rollouts import Rollout, collect_rollout, shuffle_evenly
@@ -35,6 +36,7 @@ from magical.learning.running.run import Run
 from magical.learning.running.streams import Purpose, seeded_init, stream
 from magical.learning.settings import FRACTION, NOT_NEGATIVE, POSITIVE, option
 from magical.observe import STATE
+from magical.plugins import is_plugin
 from magical.runs.sources import SCORE
 from magical.tasks import Horizon, have_two_horizons, require_two_horizons
 
@@ -200,7 +202,9 @@ class PPOTrainer(InteractionTrainer):
     def __init__(self, config: ReinforcementConfig, run: Run, reward: Reward = "none") -> None:
         """See `InteractionTrainer`."""
         super().__init__(config, run, make_policy(config), config.ppo.learning_rate, reward)
-        self._replayed = ReplayedStep(self._step, self.optimizer)
+        # A network from elsewhere may wait for the device, which cannot be recorded.
+        own = not is_plugin(NETWORKS, config.networks.network)
+        self._replayed = ReplayedStep(self.optimizer, own and self.device == "cuda")
 
     def remaining_updates(self) -> range:
         """The numbers of the remaining updates."""
@@ -241,7 +245,8 @@ class PPOTrainer(InteractionTrainer):
             for _ in range(ppo.epochs):
                 order = torch.from_numpy(shuffle_evenly(tasks, rng)).to(self.device)
                 for rows in torch.split(order, ppo.minibatch_size):
-                    averages.add(len(rows), **self._replayed(clip_range, *samples.select(rows)))
+                    minibatch = samples.select(rows)
+                    averages.add(len(rows), **self._replayed(self._step, clip_range, *minibatch))
         return {
             "reward": rewards.mean().item(),
             "reward_std": rewards.std(correction=0).item(),

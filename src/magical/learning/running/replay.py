@@ -10,7 +10,7 @@ Step = Callable[..., dict[str, Tensor]]  # tensors -> values to log
 
 
 class ReplayedStep:
-    """An optimiser step that a GPU replays as a CUDA graph; a CPU runs it as it is.
+    """An optimiser step that a GPU replays as a CUDA graph.
 
     A small network's step is hundreds of kernels, and launching them one by one takes longer than
     running them. The second call records them, and later calls of the same shapes launch them
@@ -24,23 +24,24 @@ class ReplayedStep:
     _inputs: Sequence[Tensor]  # of the graph, as are the outputs
     _outputs: dict[str, Tensor]
 
-    def __init__(self, step: Step, optimizer: Optimizer) -> None:
-        self._step, self._optimizer = step, optimizer
+    def __init__(self, optimizer: Optimizer, replayed: bool) -> None:
+        """Replay steps of an optimiser, or, unless `replayed`, take each as it is."""
+        self._optimizer, self._replayed = optimizer, replayed
 
-    def __call__(self, *inputs: Tensor) -> dict[str, Tensor]:
-        """Take a step; returns the values to log."""
+    def __call__(self, step: Step, *inputs: Tensor) -> dict[str, Tensor]:
+        """Take a step, the same in all calls; returns the values to log."""
         shapes = [tensor.shape for tensor in inputs]
-        if inputs[0].device.type == "cpu" or shapes != self._shapes:
+        if not self._replayed or shapes != self._shapes:
             self._shapes = self._shapes or shapes
-            return self._step(*inputs)
+            return _take(step, inputs)
         if self._graph is None:
-            self._graph = self._recorded(inputs)
+            self._graph = self._recorded(step, inputs)
         for own, new in zip(self._inputs, inputs, strict=True):
             own.copy_(new)
         self._graph.replay()
         return self._outputs
 
-    def _recorded(self, inputs: Sequence[Tensor]) -> torch.cuda.CUDAGraph:
+    def _recorded(self, step: Step, inputs: Sequence[Tensor]) -> torch.cuda.CUDAGraph:
         """The graph of the step with copies of the inputs; recording does not take the step."""
         self._inputs = [tensor.clone() for tensor in inputs]
         for group in self._optimizer.param_groups:
@@ -48,5 +49,10 @@ class ReplayedStep:
             group.update(lr=rate, capturable=True)
         graph = torch.cuda.CUDAGraph()
         with torch.cuda.graph(graph):
-            self._outputs = self._step(*self._inputs)
+            self._outputs = _take(step, self._inputs)
         return graph
+
+
+def _take(step: Step, inputs: Sequence[Tensor]) -> dict[str, Tensor]:
+    """Take a step; the values keep nothing of its autograd graph, which belongs to a stream."""
+    return {name: value.detach() for name, value in step(*inputs).items()}
