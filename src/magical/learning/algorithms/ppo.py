@@ -202,7 +202,7 @@ class PPOTrainer(InteractionTrainer):
     def __init__(self, config: ReinforcementConfig, run: Run, reward: Reward = "none") -> None:
         """See `InteractionTrainer`."""
         super().__init__(config, run, make_policy(config), config.ppo.learning_rate, reward)
-        # A network from elsewhere may wait for the device, which cannot be recorded.
+        # A plug-in's network may wait for the device, which cannot be recorded.
         own = not is_plugin(NETWORKS, config.networks.network)
         self._replayed = ReplayedStep(self.optimizer, own and self.device == "cuda")
 

@@ -30,8 +30,10 @@ class ReplayedStep:
 
     def __call__(self, step: Step, *inputs: Tensor) -> dict[str, Tensor]:
         """Take a step, the same in all calls; returns the values to log."""
+        if not self._replayed:
+            return step(*inputs)
         shapes = [tensor.shape for tensor in inputs]
-        if not self._replayed or shapes != self._shapes:
+        if shapes != self._shapes:
             self._shapes = self._shapes or shapes
             return _take(step, inputs)
         if self._graph is None:
