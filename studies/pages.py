@@ -45,7 +45,7 @@ from studies.published_tables.claims import (
 )
 from studies.published_tables.generalisation import find_drops
 from studies.published_tables.picture import digest_of, write_picture
-from studies.published_tables.rows import MethodRuns, make_rows, published_row
+from studies.published_tables.rows import MethodRuns, make_rows, published_row, reproduced_row
 from studies.tables import (
     agreement_row,
     cell_table,
@@ -197,11 +197,11 @@ class Page:
         return [*names, *_count_cells(self.counts[method])]
 
     def task_table(self) -> str:
-        """Tasks by methods named like a published row: cells within two stds, mean distance."""
+        """Tasks by methods that reproduce a published row: cells within two stds, mean distance."""
         shown = {
             m: group_by(cells, attrgetter("task"))
             for m, cells in self.cells.items()
-            if published_row(m) == m
+            if reproduced_row(m)
         }
         rows = [
             [task, *(_task_cell(tasks.get(task, ())) for tasks in shown.values())]
@@ -229,7 +229,7 @@ class Page:
         return table((*header, _together_header(pairs)), (list(claim_row(*pair)) for pair in pairs))
 
     def agreement_table(self) -> str:
-        """A row for each method named like a published row, and part of the environments."""
+        """A row for each method that reproduces a published row, and part of the environments."""
         header = ("Row", "On", "Tasks", "Ours", "Published", "Difference", "Verdict")
         found = find_agreements(self.rows)
         return table(header, (list(agreement_row(row)) for row in found)) if found else NOTHING
@@ -261,8 +261,8 @@ class Page:
     def orders(self) -> str:
         """The methods' order by part: those with all tasks, then all methods on shared tasks."""
         named = [row for row in self.rows if row.published == row.method]
-        complete = [row for row in named if self._is_complete(row)]
-        groups = [complete] if len(complete) == len(named) else [complete, named]
+        complete = [r for r in self.rows if reproduced_row(r.method) and self._is_complete(r)]
+        groups = [complete] if all(map(self._is_complete, named)) else [complete, named]
         tables = [text for rows in groups for part in PARTS if (text := order_table(rows, part))]
         return "\n\n".join(tables) or NOTHING
 

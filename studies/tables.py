@@ -36,8 +36,8 @@ def variation_row(finding: Finding, together: Finding) -> Iterator[str]:
     yield finding.part
     yield task_names(finding.tasks) if finding.tasks else "–"
     yield NOT_RUN if finding.ours is None else signed(finding.ours)
-    yield verdicts.get(finding.verdict, finding.verdict)
-    yield "–" if together.ours is None else verdicts.get(together.verdict, together.verdict)
+    for ours in (finding.ours, together.ours):
+        yield NOT_RUN if ours is None else verdicts.get(verdict(ours), verdict(ours))
 
 
 def agreement_row(agreement: Agreement) -> Iterator[str]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from magical.evaluation.intervals import Interval, weighted_sum
 from magical.evaluation.statistics import mean
 from studies.published_tables.claims import DEMO, PARTS
-from studies.published_tables.rows import MethodRuns
+from studies.published_tables.rows import MethodRuns, reproduced_row
 from studies.published_tables.scale import published_contrast
 
 MARGIN = 0.05  # about half of what augmentation is worth in the published tables
@@ -19,7 +19,7 @@ class Agreement:
     """A row's mean over a part of the environments beside the published one, on the same tasks.
 
     Attributes:
-        method: with the name of a published row.
+        method: meant to reproduce a published row.
         part: `Demo` or `test variants`.
         tasks: on which it was run.
         ours: with a 90% interval.
@@ -50,8 +50,8 @@ class Agreement:
 
 
 def find_agreements(rows: Iterable[MethodRuns]) -> list[Agreement]:
-    """Each row with the name of a published one, on Demo and on the test variants."""
-    return [_agreement(row, part) for row in rows if row.published == row.method for part in PARTS]
+    """Each row that is meant to reproduce a published one, on Demo and on the test variants."""
+    return [_agreement(row, part) for row in rows if reproduced_row(row.method) for part in PARTS]
 
 
 def _agreement(row: MethodRuns, part: str) -> Agreement:
@@ -62,5 +62,5 @@ def _agreement(row: MethodRuns, part: str) -> Agreement:
         part,
         tuple(dict.fromkeys(i.task for i in env_ids)),
         mean(row.on(env_ids), CONFIDENCE),
-        published_contrast({row.method: 1.0}, cells, CONFIDENCE),
+        published_contrast({row.published: 1.0}, cells, CONFIDENCE),
     )

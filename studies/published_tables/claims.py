@@ -9,7 +9,7 @@ from magical.evaluation.intervals import CONFIDENCE, Interval
 from magical.evaluation.published import published_table
 from magical.evaluation.statistics import ROUNDING, contrast, mean
 from magical.tasks.axes import short_variant
-from studies.published_tables.rows import MethodRuns
+from studies.published_tables.rows import CODE, MethodRuns, reproduced_row
 from studies.published_tables.scale import published_contrast
 
 DEMO, TESTS = "Demo", "test variants"
@@ -18,7 +18,6 @@ BC, NO_AUG, NO_TRANS_ROT = "BC (ST)", "BC (ST, no aug.)", "BC (ST, no trans./rot
 GAIL, AL = "GAIL (ST)", "AL (ST)"
 ALLO, MULTI, LONGER = "BC (ST, allo.)", "BC (MT)", "four times the batches"
 OPTIMISER = "published optimiser"
-CODE = "settings of the published code, network narrow"
 PAPER, SCRIPTED = "BC (ST), paper settings", "BC (ST), scripted experts"
 PERTURBED, MIXED = "BC (ST), perturbed experts", "BC (ST), human and scripted"
 HUNDRED = "BC (ST), 100 perturbed experts"
@@ -61,6 +60,7 @@ CLAIMS = (
     _claim("the egocentric view is better than the allocentric one, for BC", BC, ALLO),
     _claim("multi-task training helps BC", MULTI, BC),
     _claim("GAIL is better than BC", GAIL, BC),
+    _claim("GAIL is better than BC, with the published code's settings", f"{GAIL}, {CODE}", BC),
     _claim("GAIL is better than WGAIL-GP", GAIL, "WGAIL-GP (ST)"),
     _claim("GAIL is better than apprenticeship learning", GAIL, AL),
 )
@@ -138,7 +138,8 @@ class Finding:
         claim: what is stated.
         part: of the environments: `Demo`, `test variants`, or one variant such as `Jitter`.
         tasks: on which ours was computed; none where a method has not been run.
-        published: over all tasks; `None` for methods that were not published.
+        published: over all tasks; `None` where a method reproduces no published row, or two the
+            same one.
         same: published, over our tasks; `None` as well where there are none.
         ours: `None` where there are none.
     """
@@ -194,16 +195,17 @@ def find_together(
 def _finding(claim: Claim, part: str, rows: Mapping[str, MethodRuns], confidence: float) -> Finding:
     cells = {(task, variant) for task, _, variant in published_table() if _is_in(variant, part)}
     published = same = ours = None
-    theirs = {method for _, method, _ in published_table()}
-    if claim.weights.keys() <= theirs:
-        published = published_contrast(claim.weights, sorted(cells), confidence)
+    theirs = {reproduced_row(name): weight for name, weight in claim.weights.items()}
+    is_published = "" not in theirs and len(theirs) == len(claim.weights)
+    if is_published:
+        published = published_contrast(theirs, sorted(cells), confidence)
     env_ids = _shared([rows[name] for name in claim.weights if name in rows], part)
     if env_ids and claim.weights.keys() <= rows.keys():
         tables = [rows[name].on(env_ids) for name in claim.weights]
         ours = contrast(tables, list(claim.weights.values()), confidence)
-        if published is not None:
+        if is_published:
             shared = [(i.task, i.variant) for i in env_ids]
-            same = published_contrast(claim.weights, shared, confidence)
+            same = published_contrast(theirs, shared, confidence)
     tasks = tuple(dict.fromkeys(i.task for i in env_ids)) if ours is not None else ()
     return Finding(claim, part, tasks, published, same, ours)
 
@@ -230,16 +232,16 @@ class Place:
 
 
 def order(rows: Sequence[MethodRuns], part: str) -> tuple[list[str], list[Place]]:
-    """The methods with the name of a published one, by our rank, and before them their tasks.
+    """The methods that reproduce a published one, by our rank, and before them their tasks.
 
     Means are over the environments of a part that all have.
     """
-    rows = [row for row in rows if row.published == row.method]
+    rows = [row for row in rows if reproduced_row(row.method)]
     env_ids = _shared(rows, part)
     cells = [(env_id.task, env_id.variant) for env_id in env_ids]
     if not env_ids:
         return [], []
-    theirs = {row.method: published_contrast({row.method: 1.0}, cells) for row in rows}
+    theirs = {row.method: published_contrast({row.published: 1.0}, cells) for row in rows}
     ours = {row.method: mean(row.on(env_ids)) for row in rows}
     places = [
         Place(name, theirs[name], ours[name], _rank(name, theirs), _rank(name, ours))

@@ -21,6 +21,8 @@ from magical.report.scores.differences import RULE, is_comparable
 from magical.runs.sources import LEARNED_FROM, learning_class
 from magical.tasks import get_task
 
+CODE = "settings of the published code, network narrow"  # in the names of methods
+
 
 @dataclass(frozen=True, slots=True)
 class MethodRuns:
@@ -60,6 +62,15 @@ def published_row(method: str) -> str:
     """
     names = (name for name in published_methods() if f"{method}, ".startswith(f"{name}, "))
     return next(names, "")
+
+
+def reproduced_row(method: str) -> str:
+    """The published row that a method is meant to reproduce; empty for none.
+
+    That of its name, with the settings of `quick` or of the published code.
+    """
+    name = method.removesuffix(f", {CODE}")
+    return name if name in published_methods() else ""
 
 
 def make_rows(found: Found) -> tuple[list[MethodRuns], list[Rejected]]:

@@ -5,7 +5,7 @@ import pytest
 
 from magical.evaluation import environments, published_score
 from studies.published_tables.agreement import MARGIN, Agreement, find_agreements
-from studies.published_tables.rows import MethodRuns, published_row
+from studies.published_tables.rows import CODE, MethodRuns, published_row
 
 CORNER = tuple(environments(["MoveToCorner"], ["Demo", "Jitter", "Dynamics"]))
 PUBLISHED = [
@@ -49,3 +49,9 @@ def test_one_run_is_too_few() -> None:
 
 def test_rows_that_are_not_the_published_ones_are_left_out() -> None:
     assert agreements(0.0, 0.1, "BC (ST), scripted experts") == []
+
+
+def test_a_row_with_the_published_codes_settings_is_held_against_the_published_one() -> None:
+    demo, _ = agreements(0.0, 0.001, f"BC (ST), {CODE}")
+    assert demo.verdict == f"equivalent within {MARGIN}"
+    assert demo.published == agreements(0.0, 0.001)[0].published

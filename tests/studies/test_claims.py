@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from magical.evaluation import environments, published_methods
+from magical.evaluation import environments
 from magical.evaluation.intervals import Interval
 from studies.published_tables.claims import (
     CLAIMS,
@@ -19,7 +19,7 @@ from studies.published_tables.claims import (
     order,
     verdict,
 )
-from studies.published_tables.rows import MethodRuns, published_row
+from studies.published_tables.rows import CODE, MethodRuns, published_row, reproduced_row
 from studies.published_tables.scale import published_contrast
 
 CORNER = tuple(environments(["MoveToCorner"], ["Demo", "Jitter"]))
@@ -31,7 +31,7 @@ def row(method: str, *means: list[float]) -> MethodRuns:
 
 def test_the_published_claims_are_about_published_rows() -> None:
     for claim in CLAIMS:
-        assert claim.weights.keys() <= set(published_methods())
+        assert all(map(reproduced_row, claim.weights))
         assert sum(claim.weights.values()) == 0
     for variation in VARIATIONS:
         assert all(map(published_row, variation.weights))
@@ -82,7 +82,21 @@ def test_what_has_not_been_run_says_so() -> None:
     assert {finding.verdict for finding in found} == {"not run"}
     assert all(finding.ours is finding.same is None for finding in found)
     assert all(finding.published is not None for finding in found)
-    assert all(finding.published is None for finding in find(VARIATIONS, []))
+
+
+def test_claims_of_methods_with_the_published_settings_have_the_published_values() -> None:
+    quick, code = (row(f"GAIL (ST){name}", [0.9, 0.8]) for name in ("", f", {CODE}"))
+    claims = [Claim("", {method: 1.0, "BC (ST)": -1.0}) for method in (quick.method, code.method)]
+    both = find(claims, [quick, code, row("BC (ST)", [0.5, 0.4])], [DEMO])
+    assert both[0].same is not None
+    assert (both[0].published, both[0].same) == (both[1].published, both[1].same)
+
+
+def test_variations_of_one_published_row_have_no_published_value() -> None:
+    with_published = [found.claim.text for found in find(VARIATIONS, [], [DEMO]) if found.published]
+    assert with_published == [
+        "augmentation, with the published code's settings in the network of `quick`"
+    ]
 
 
 @pytest.mark.parametrize(
