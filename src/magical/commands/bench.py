@@ -87,7 +87,7 @@ def run(args: argparse.Namespace) -> int:
         (name, f"{rate:,.0f}", f"{1e6 * copies / rate:.1f}", f"{rate / physics:.3f}")
         for name, rate in rates.items()
     ]
-    print(f"{env_id}, {num_envs} environments, {result['workers']} workers")
+    print(f"{env_id}, num_envs {num_envs}, workers {result['workers']}")
     print_table(("", "steps/s", "us/step per worker", "relative to bare physics"), rows)
     print(f"{result['frames_per_second']:,.0f} frames/s")
     print_json(args, result)
