@@ -39,7 +39,7 @@ def test_the_published_claims_are_about_published_rows() -> None:
 
 def test_formulas() -> None:
     assert CLAIMS[0].formula == "BC (ST) − BC (ST, no aug.)"
-    assert CLAIMS[3].formula == ("BC (ST) + BC (ST, no aug.) − 2 x BC (ST, no trans./rot. aug.)")
+    assert CLAIMS[4].formula == ("BC (ST) + BC (ST, no aug.) − 2 x BC (ST, no trans./rot. aug.)")
 
 
 def test_a_claim_by_hand() -> None:
@@ -72,7 +72,7 @@ def test_three_methods_are_weighed() -> None:
         row("BC (ST, no aug.)", [0.1, 0.0], [0.1, 0.0]),
         row("BC (ST, no trans./rot. aug.)", [0.2, 0.0], [0.2, 0.0]),
     ]
-    demo, _ = find(CLAIMS[3:4], rows)
+    demo, _ = find(CLAIMS[4:5], rows)
     assert demo.ours == pytest.approx((0.6, 0.6, 0.6))
     assert demo.verdict == "holds; published: open"
 
@@ -92,11 +92,8 @@ def test_claims_of_methods_with_the_published_settings_have_the_published_values
     assert (both[0].published, both[0].same) == (both[1].published, both[1].same)
 
 
-def test_variations_of_one_published_row_have_no_published_value() -> None:
-    with_published = [found.claim.text for found in find(VARIATIONS, [], [DEMO]) if found.published]
-    assert with_published == [
-        "augmentation, with the published code's settings in the network of `quick`"
-    ]
+def test_variations_have_no_published_value() -> None:
+    assert not any(found.published for found in find(VARIATIONS, [], [DEMO]))
 
 
 @pytest.mark.parametrize(

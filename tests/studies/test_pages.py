@@ -106,7 +106,7 @@ def test_without_results_everything_is_not_run(repository: Path) -> None:
     for name in ("tasks", "far", "agreement", "orders", "cells", "others"):
         assert section(text, name) == "Nothing yet: not run.\n"
     assert section(text, "rejected") == "None.\n"
-    claims = lines(text, "claims", "augmentation helps BC")
+    claims = lines(text, "claims", "augmentation helps BC:")
     assert [row[-2:] for row in claims] == [["not run", "–"]] * 2
     assert claims[0][2].startswith("+0.09 [")
 
