@@ -1,12 +1,12 @@
-"""Train a plan's runs, and score a test variant while they train.
+"""Train a plan's runs of GAIL, WGAIL-GP or AL, and score Layout while they train.
 
 python -m studies.demonstrations.layout PLAN --demos DIR [--out DIR] [--every 50000]
-    [--variant Layout] [--task TASK ...] [--rollouts 100]
+    [--task TASK ...] [--rollouts 100]
 
 PLAN is a plan's file. Each run is trained in its folder of the plan's results, where
 `magical run` finds it done and evaluates it; after every so many environment steps its policy is
-scored on one variant, by the published code's rule, and the mean is added to `layout.csv` in the
-folder. The command continues what was interrupted. At the end the curves are printed.
+scored on Layout, by the published code's rule, and the mean is added to `layout.csv` in the folder.
+The command continues what was interrupted. At the end the curves are printed, as STEPS:MEAN.
 """
 
 import argparse
@@ -34,7 +34,8 @@ CURVE = "layout.csv"  # in a run's folder: environment steps, mean score
 def follow(run: PlannedRun, folder: Path, demos: Path, evaluation: Evaluation, every: int) -> None:
     """Train a run in stages, or what is left of it, and score it after each."""
     config = run.config.replace(demos=str(demos))
-    assert isinstance(config, ReinforcementConfig)
+    if not isinstance(config, ReinforcementConfig):
+        raise SystemExit(f"{run}: {run.config.algorithm} takes no environment steps")
     each, total = config.ppo.steps_per_update, config.num_updates
     while (step := read_step(folder)) < total:
         stage = max(1, every // each)
@@ -72,7 +73,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--demos", type=Path, required=True, metavar="DIR")
     parser.add_argument("--out", type=Path, metavar="DIR", help="default: runs/PLAN")
     parser.add_argument("--every", type=int, default=50_000, metavar="STEPS", help="default: 50000")
-    parser.add_argument("--variant", default="Layout", help="default: Layout")
     parser.add_argument("--task", nargs="+", default=[], help="default: the plan's")
     parser.add_argument("--rollouts", type=int, default=100, help="default: 100")
     args = parser.parse_args(arguments)
@@ -81,12 +81,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     with opened(out, runs) as results:
         for run in runs:
             if not args.task or set(run.tasks) <= set(args.task):
-                env_ids = tuple(environments(run.tasks, [args.variant]))
+                env_ids = tuple(environments(run.tasks, ["Layout"]))
                 evaluation = replace(run.evaluation, env_ids=env_ids, rollouts=args.rollouts)
                 follow(run, results.folder(run), args.demos, evaluation, args.every)
     for run in runs:
         curve = read_curve(out / RUNS / run.folder)
-        print(f"{run}: {' '.join(f'{mean:.2f}' for _, mean in curve) or 'not run'}")
+        print(f"{run}: {' '.join(f'{at}:{mean:.2f}' for at, mean in curve) or 'not run'}")
 
 
 if __name__ == "__main__":

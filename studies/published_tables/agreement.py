@@ -1,4 +1,4 @@
-"""Whether means over environments agree with the published ones, by a margin stated beforehand."""
+"""Whether means over environments are equivalent to the published ones within a margin."""
 
 import math
 from collections.abc import Iterable
@@ -39,14 +39,18 @@ class Agreement:
 
     @property
     def verdict(self) -> str:
-        """Whether the difference's interval is inside the margin, outside, or neither."""
+        """Whether the difference's interval is inside the margin, outside, or neither.
+
+        If neither, whether it excludes 0.
+        """
         found = self.difference
         if math.isnan(found.low):
             return "open: too few runs"
         if -MARGIN < found.low and found.high < MARGIN:
             return f"equivalent within {MARGIN}"
-        beyond = found.low > MARGIN or found.high < -MARGIN
-        return f"differs by more than {MARGIN}" if beyond else "open"
+        if found.low > MARGIN or found.high < -MARGIN:
+            return f"differs by more than {MARGIN}"
+        return "differs; by how much is open" if found.low > 0.0 or found.high < 0.0 else "open"
 
 
 def find_agreements(rows: Iterable[MethodRuns]) -> list[Agreement]:

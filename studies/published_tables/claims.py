@@ -17,6 +17,7 @@ PARTS = (DEMO, TESTS)
 BC, NO_AUG, NO_TRANS_ROT = "BC (ST)", "BC (ST, no aug.)", "BC (ST, no trans./rot. aug.)"
 GAIL, AL = "GAIL (ST)", "AL (ST)"
 ALLO, MULTI, LONGER = "BC (ST, allo.)", "BC (MT)", "four times the batches"
+MORE_STEPS = "four times the environment steps"
 OPTIMISER = "published optimiser"
 PAPER, SCRIPTED = "BC (ST), paper settings", "BC (ST), scripted experts"
 PERTURBED, MIXED = "BC (ST), perturbed experts", "BC (ST), human and scripted"
@@ -91,7 +92,7 @@ VARIATIONS = (
     _claim("four times the batches of `quick`, multi-task", f"{MULTI}, {LONGER}", MULTI),
     _claim(
         "four times the environment steps of `quick`, for GAIL",
-        f"{GAIL}, four times the environment steps",
+        f"{GAIL}, {MORE_STEPS}",
         GAIL,
     ),
     _claim(
@@ -130,6 +131,25 @@ VARIATIONS = (
     ),
     _claim(
         "the published bound on w, for apprenticeship learning", f"{AL}, published bound on w", AL
+    ),
+    *(
+        _claim(
+            f"{text}, for GAIL with {MORE_STEPS}",
+            f"{GAIL}, {change}",
+            f"{GAIL}, {MORE_STEPS}",
+        )
+        for text, change in (
+            ("the published settings of PPO", "published PPO"),
+            (
+                "the published learning rate of the discriminator",
+                "published learning rate of the discriminator",
+            ),
+            ("a second linear layer", "a second linear layer"),
+            (
+                "the published code's conventions and initialisation",
+                "published initialisation and pixels",
+            ),
+        )
     ),
 )
 

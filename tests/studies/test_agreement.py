@@ -33,7 +33,7 @@ def test_a_row_by_hand() -> None:
     [
         (0.0, 0.001, f"equivalent within {MARGIN}"),
         (0.0, 0.2, "open"),
-        (-0.05, 0.001, "open"),
+        (-0.05, 0.001, "differs; by how much is open"),
         (-0.3, 0.001, f"differs by more than {MARGIN}"),
     ],
 )

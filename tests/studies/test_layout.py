@@ -55,3 +55,10 @@ def test_a_variant_is_scored_at_every_stage(
     assert capsys.readouterr().out == first
     assert layout.read_curve(folder) == curve
     layout.main([*command, "--task", "FixColour"])
+
+
+def test_a_plan_of_cloning_is_refused(tmp_path: Path) -> None:
+    plan = tmp_path / "bc.toml"
+    plan.write_text(PLAN.split("[[methods]]")[0] + '[[methods]]\nname = "BC"\nalgorithm = "bc"\n')
+    with pytest.raises(SystemExit, match="bc takes no environment steps"):
+        layout.main([str(plan), "--demos", str(tmp_path), "--out", str(tmp_path / "out")])

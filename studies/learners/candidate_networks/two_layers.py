@@ -5,3 +5,4 @@ from dataclasses import replace
 from magical.learning.networks import light
 
 NETWORK = replace(light.NETWORK, HIDDEN=(256, 256))
+HIDDEN, make_convolutions = NETWORK.HIDDEN, NETWORK.make_convolutions

@@ -16,6 +16,7 @@ from magical.learning.algorithms.bc import BCConfig
 from magical.learning.config import options
 from magical.learning.running.devices import (
     Compute,
+    Precision,
     choose_compute,
     choose_device,
     cpu_threads,
@@ -39,6 +40,16 @@ def test_a_processor_with_bfloat16_instructions_uses_them(
     abilities[ability] = True
     assert choose_compute("cpu", "auto", 3) == Compute("cpu", "bfloat16", 3)
     assert choose_compute("cpu", "float32", 3) == Compute("cpu", "float32", 3)
+
+
+@pytest.mark.parametrize("precision", ["float32", "bfloat16"])
+def test_inputs_are_cast_as_autocast_would(precision: Precision) -> None:
+    compute = Compute("cpu", precision)
+    layer, images = torch.nn.Linear(16, 4), torch.rand(3, 16)
+    cast = compute.cast(images)
+    assert cast.dtype == getattr(torch, precision)
+    with compute.autocast():
+        assert torch.equal(layer(cast), layer(images))
 
 
 def test_newer_instructions_that_are_switched_off_are_not_used(

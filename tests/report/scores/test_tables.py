@@ -1,8 +1,11 @@
 """Score tables."""
 
+import math
+
 import numpy as np
 import pytest
 
+from magical.evaluation.statistics import mean
 from magical.report.scores.tables import (
     BESIDE,
     ONE_RUN,
@@ -87,6 +90,19 @@ def test_few_runs_of_which_some_fail_are_listed() -> None:
     for others in (table(1.0, 0.75, 0.75), table(1.0, 0.0, 1.0, 1.0, 1.0, 1.0)):
         assert "(" not in others.rows[0].cells["Demo"].text
         assert RUNS_APART not in others.note
+
+
+@pytest.mark.parametrize(("runs", "covered"), [(3, 48), (5, 67)])
+def test_how_often_an_interval_covers_the_mean_where_one_run_in_five_fails(
+    runs: int, covered: int
+) -> None:
+    share = 0.0
+    for failures in range(runs + 1):
+        found = mean([[0.0]] * failures + [[1.0]] * (runs - failures))
+        likelihood = math.comb(runs, failures) * 0.2**failures * 0.8 ** (runs - failures)
+        share += likelihood * (found.low <= 0.8 <= found.high)
+    assert round(100 * share) == covered
+    assert f"{covered}%" in RUNS_APART
 
 
 def test_methods_without_the_task_have_no_row() -> None:
