@@ -37,8 +37,10 @@ def published_contrast(
 ) -> Interval:
     """`magical.evaluation.statistics.contrast` of published rows, as far as the tables allow.
 
-    They do not say how a run's scores in several variants vary together. The interval assumes that they vary together completely, within a task, and for multi-task methods over all tasks, which makes it wide; for the standard deviations' divisor see `difference_from_published`.
-    Each is at least the tables' resolution.
+    They do not say how a run's scores in several variants vary together. The interval assumes that
+    they vary together completely, within a task, and for multi-task methods over all tasks, which
+    makes it wide; for the standard deviations' divisor see `difference_from_published`. Each is at
+    least the tables' resolution.
 
     Args:
         weights: of each method's mean over the cells.

@@ -25,8 +25,8 @@ ONE_RUN = (
 BESIDE = " In parentheses: the difference from the published mean."
 APART, FEW = 0.5, 5  # at most FEW runs whose means are more than APART apart are listed singly
 RUNS_APART = (
-    " Where some runs succeed and others fail, their means are listed in brackets. Where a few runs "
-    "all succeed, failures may be missing by chance: if one run in five fails, a 95% interval "
+    " Where some runs succeed and others fail, their means are listed in brackets. Where a few "
+    "runs all succeed, failures may be missing by chance: if one run in five fails, a 95% interval "
     "covers the true mean in 48% of cases with three runs, and in 67% with five."
 )
 
