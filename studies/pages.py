@@ -210,9 +210,10 @@ class Page:
         return table(("Task", *shown), rows) if shown else NOTHING
 
     def far_cells(self) -> str:
-        """The cells beyond two pooled standard deviations, by method."""
+        """The cells beyond two pooled standard deviations, by method, as far as it was published."""
         lines = []
-        for method, found in self.counts.items():
+        for method in filter(reproduced_row, self.counts):
+            found = self.counts[method]
             for side, cells in (("below", found.below), ("above", found.above)):
                 if cells:
                     listed = ", ".join(
