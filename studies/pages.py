@@ -210,7 +210,7 @@ class Page:
         return table(("Task", *shown), rows) if shown else NOTHING
 
     def far_cells(self) -> str:
-        """The cells beyond two pooled standard deviations, by method, as far as it was published."""
+        """The cells beyond two pooled standard deviations, by method, of published rows."""
         lines = []
         for method in filter(reproduced_row, self.counts):
             found = self.counts[method]
