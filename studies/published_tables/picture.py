@@ -11,6 +11,7 @@ from magical.files import write_atomically
 from magical.report.figures.plots import new_figure, plotting
 from magical.tasks.axes import SHORT_VARIANTS
 from studies.published_tables.cells import LIMITS, ComparedCell, distance_text
+from studies.published_tables.rows import CODE
 
 DIGEST = "Cells"  # in the file's metadata: what the picture was made from
 LIMIT = 4.0  # pooled standard deviations at which colours end
@@ -74,7 +75,7 @@ def _figure(panels: Mapping[str, Sequence[ComparedCell]], tasks: Sequence[str]) 
         place.set_axis_off()
     label = "our mean less the published one, in pooled standard deviations; white: no such variant"
     options = {"orientation": "horizontal", "aspect": 60, "label": label}
-    figure.colorbar(image, ax=list(axes), fraction=0.4 / height, **options)
+    figure.colorbar(image, ax=list(axes), fraction=0.4 / height, pad=0.3 / height, **options)
     return figure
 
 
@@ -102,7 +103,7 @@ def _draw(axes: Any, method: str, cells: Sequence[ComparedCell], tasks: Sequence
     axes.set_xticks(range(len(SHORT_VARIANTS)), SHORT_VARIANTS, fontsize=6)
     axes.set_yticks(range(len(tasks)), tasks, fontsize=8)
     axes.tick_params(length=0)
-    axes.set_title(method, fontsize=10)
+    axes.set_title(method.replace(f", {CODE}", ", published code's settings"), fontsize=10)
     for spine in axes.spines.values():
         spine.set_visible(False)
     return image
