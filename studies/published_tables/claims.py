@@ -139,7 +139,7 @@ VARIATIONS = (
             f"{GAIL}, {MORE_STEPS}",
         )
         for text, change in (
-            ("the published settings of PPO", "published PPO"),
+            ("some of the published settings of PPO", "published PPO"),
             (
                 "the published learning rate of the discriminator",
                 "published learning rate of the discriminator",
