@@ -9,7 +9,7 @@ __all__ = ["finished", "inline", "planned", "tiny", "write_entry"]
 
 # What executes plans cannot even be imported without PyTorch.
 NEED_TORCH = (
-    *("collecting", "layout", "object_networks", "pages", "perception", "plans", "restoring"),
-    *("scenes", "weights"),
+    *("collecting", "layout", "networks", "object_networks", "pages", "perception", "plans"),
+    *("restoring", "scenes", "weights"),
 )
 collect_ignore = [] if find_spec("torch") else [f"test_{name}.py" for name in NEED_TORCH]

@@ -4,11 +4,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
-
-from magical.learning.networks import find_network
-from studies.learners.networks import CANDIDATES
-
 
 def script(root: Path, name: str, *arguments: str) -> str:
     command = [sys.executable, str(root / "studies" / name), *arguments]
@@ -38,9 +33,3 @@ def test_runs_of_the_physics_are_compared(root: Path, tmp_path: Path) -> None:
     assert same.count("0e+00 (0e+00)") == 5  # compared with itself
     assert "0e+00 (0e+00)" not in by_row["| pin", "alone", "fingers displaced"]
     assert figure.stat().st_size > 1000
-
-
-def test_every_candidate_network_is_found(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(str(root / "studies" / "learners"))
-    for name, network in CANDIDATES.items():
-        assert find_network(network).HIDDEN, name
