@@ -3,6 +3,7 @@
 import platform
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -10,9 +11,10 @@ from magical.learning.running.allocator import keep_freed_memory
 
 # Prints how many pages the system has to provide while some blocks of 20 MB come and go.
 FAULTS = """
-import ctypes, resource
-from magical.learning.running.allocator import keep_freed_memory
-SET
+import ctypes, resource, sys
+from magical.learning import train
+from magical.learning.algorithms.bc import BCConfig
+BEFORE
 libc = ctypes.CDLL(None)
 libc.malloc.restype, libc.free.argtypes = ctypes.c_void_p, (ctypes.c_void_p,)
 libc.memset.argtypes = (ctypes.c_void_p, ctypes.c_int, ctypes.c_size_t)
@@ -28,16 +30,24 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
 """
 
 
-def page_faults(call: str) -> int:
-    code = FAULTS.replace("SET", call)
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+TRAIN = """
+settings = dict(demos=sys.argv[1], num_demos=2, network="light", batches=1, device="cpu")
+train(BCConfig.preset("quick", tasks=("MoveToCorner",), **settings), sys.argv[2])
+"""
+
+
+def page_faults(before: str, *arguments: str) -> int:
+    command = [sys.executable, "-c", FAULTS.replace("BEFORE", before), *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
     return int(done.stdout)
 
 
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="needs glibc")
-def test_freed_memory_is_used_again(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_training_uses_freed_memory_again(
+    demos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.delenv("GLIBC_TUNABLES", raising=False)
-    assert page_faults("assert keep_freed_memory()") < page_faults("") / 4
+    assert page_faults(TRAIN, str(demos), str(tmp_path / "run")) < page_faults("") / 4
 
 
 def test_what_the_user_has_chosen_stays(monkeypatch: pytest.MonkeyPatch) -> None:

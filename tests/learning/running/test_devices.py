@@ -67,17 +67,32 @@ def test_threads_are_pytorchs_own_number_unless_given() -> None:
         assert choose_compute("cuda", "float32", 0).threads == 0
 
 
+def keeps_denormals() -> bool:
+    """Whether numbers below the smallest normal one are kept."""
+    return bool((torch.full((64,), 2e-38) / 8.0).any())
+
+
 @pytest.mark.skipif(not torch.set_flush_denormal(False), reason="the CPU always keeps denormals")
 @pytest.mark.parametrize("before", [False, True])
 def test_denormals_are_flushed_inside_alone(before: bool) -> None:
-    small = torch.full((64,), 1e-38) / 4.0
     torch.set_flush_denormal(before)
     try:
         with flushed_denormals():
-            assert not (small / 4.0).any()
-        assert bool((small / 4.0).any()) != before
+            assert not keeps_denormals()
+        assert keeps_denormals() != before
     finally:
         torch.set_flush_denormal(False)
+
+
+@pytest.mark.skipif(not torch.set_flush_denormal(False), reason="the CPU always keeps denormals")
+def test_denormals_are_flushed_in_training(demos: Path, tmp_path: Path) -> None:
+    during: list[bool] = []
+    config = BCConfig.preset(
+        "quick", tasks=("MoveToCorner",), demos=str(demos), num_demos=2, network="light", batches=1
+    )
+    train(config, tmp_path, callback=lambda *_: during.append(keeps_denormals()))
+    assert during == [False]
+    assert keeps_denormals()
 
 
 def test_every_way_is_measured() -> None:
