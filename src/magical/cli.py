@@ -22,6 +22,7 @@ from magical import __version__, commands
 from magical.commands._common import FAILED, INTERRUPTED, USAGE, UsageError
 from magical.errors import MagicalError, PlanError, UnknownNameError
 from magical.extras import missing
+from magical.messages import for_terminal
 from magical.plugins import import_user_module
 from magical.tasks.registry import register_tasks_of
 
@@ -135,5 +136,5 @@ def find_commands() -> Iterator[tuple[str, ModuleType]]:
 
 
 def _report(error: Exception | str, status: int) -> int:
-    print(f"error: {error}", file=sys.stderr)
+    print(for_terminal(f"error: {error}"), file=sys.stderr)
     return status

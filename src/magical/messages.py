@@ -51,6 +51,11 @@ def printable(text: str, limit: int = MAX_LENGTH) -> str:
     return _cut("".join(c if c.isprintable() else ascii(c)[1:-1] for c in text[: limit + 1]), limit)
 
 
+def for_terminal(text: str) -> str:
+    """Lines of text with escape sequences and other unprintable characters escaped."""
+    return "\n".join(printable(line, len(line)) for line in text.split("\n"))
+
+
 def _cut(text: str, limit: int) -> str:
     return text if len(text) <= limit else f"{text[: limit - 3]}..."
 

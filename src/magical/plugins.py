@@ -5,17 +5,18 @@ Another distribution offers one through an entry point, for instance
     [project.entry-points."magical.algorithms"]
     my-bc = "my_package.bc:ALGORITHM"
 
-and anything that can be imported can be named as `module:NAME` or `file.py:NAME`.
+and anything that can be imported can be named as `module:NAME` or `file.py:NAME`, on the command
+line and in calls. Names that are read from files go through `require_imported` first.
 """
 
 import importlib
 import importlib.util
 import pkgutil
+import shlex
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
-from importlib.machinery import PathFinder
 from operator import attrgetter
 from pathlib import Path
 from types import ModuleType
@@ -23,14 +24,16 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from magical.errors import PluginError, UnknownNameError
 from magical.grouping import group_by
-from magical.messages import quoted
+from magical.messages import printable, quoted
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
 T = TypeVar("T")
 
-_imported_files: dict[Path, tuple[int, ModuleType]] = {}  # at the user's request: mtime_ns, module
+# What `import_user_module` has imported.
+_imported_names: set[str] = set()
+_imported_files: dict[Path, tuple[int, ModuleType]] = {}  # mtime_ns, module
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,7 +170,8 @@ def import_user_module(name: str) -> ModuleType:
     """Import a user's module by its name or by the path of its file.
 
     The working directory, or a file's own folder, is searched last, and for a module only if it is
-    found nowhere else, so that nothing there shadows a library.
+    found nowhere else, so that nothing there shadows a library. From then on files such as
+    `config.json` may name objects of the module.
 
     Raises:
         PluginError: it cannot be imported.
@@ -180,12 +184,14 @@ def import_user_module(name: str) -> ModuleType:
             raise ModuleNotFoundError(f"{name!r} is not a module's name")
         if package not in sys.modules and importlib.util.find_spec(package) is None:
             _search_last(Path.cwd())
-        return importlib.import_module(name)
+        module = importlib.import_module(name)
     except ModuleNotFoundError as error:
         raise PluginError(
             f"module {name!r} cannot be imported: {error}; give a module on the import path or in "
             "the working directory, or a path ending in .py"
         ) from error
+    _imported_names.add(name)
+    return module
 
 
 def _import_file(path: Path) -> ModuleType:
@@ -220,38 +226,33 @@ def _search_last(folder: Path) -> None:
         sys.path.append(str(folder))
 
 
-def require_known_module(name: str, what: str) -> None:
-    """Check that what a file names may be imported.
+def require_imported(name: str, what: str) -> None:
+    """Check that an object that a file names may be used.
 
-    Allowed are entry points, `module:NAME` if its package is installed or the user has imported
-    something from it, and `path/to/file.py:NAME` if the user has imported that file. Other code may
-    have come with the file that names it.
+    A file may name what is built in, and entry points. Anything else is code that may have come
+    with the file: `module:NAME` only if the person who runs this program has imported that module,
+    by `--import` or by naming something in it.
 
     Args:
         name: the name of a plug-in of any kind.
         what: what the message calls the file.
 
     Raises:
-        PluginError: it must not be imported.
+        PluginError: its module was not imported.
     """
     module, colon, _ = name.rpartition(":")
-    package = module.partition(".")[0]
-    if module.endswith(".py"):
-        known = Path(module).resolve() in _imported_files
-    else:
-        known = package in sys.modules or _is_installed(package)
-    if not colon or known:
+    if not colon or _was_imported(module):
         return
     raise PluginError(
-        f"{what} names {quoted(name)}, from a module that is not installed; if you trust it, "
-        "import it first: magical --import MODULE or FILE.py before the command"
+        f"{what} names {quoted(name)}, and its module is not one that you imported; if you trust "
+        f"it, add to the command: --import {shlex.quote(printable(module))} (in Python first call "
+        f"magical.plugins.import_user_module({quoted(module)}))"
     )
 
 
-def _is_installed(package: str) -> bool:
-    """Whether a package outside the standard library and working directory is importable."""
-    if not package.isidentifier() or package in sys.stdlib_module_names:
-        return False
-    here = Path.cwd()
-    paths = [path for path in sys.path if path and Path(path).resolve() != here.resolve()]
-    return PathFinder.find_spec(package, paths) is not None
+def _was_imported(module: str) -> bool:
+    """Whether `import_user_module` has imported a module, by its name or as a file."""
+    if module.endswith(".py"):
+        return "\0" not in module and Path(module).resolve() in _imported_files
+    files = (found for _, found in _imported_files.values())
+    return module in _imported_names or any(sys.modules.get(module) is found for found in files)

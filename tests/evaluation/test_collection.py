@@ -8,7 +8,7 @@ import pytest
 
 from magical.envs.seeds import evaluation_seed
 from magical.errors import ScoresError
-from magical.evaluation import Entry, RolloutScore, environments, scores
+from magical.evaluation import Entry, RolloutScore, collection, environments
 from magical.evaluation.collection import read_collection, write_collection
 
 ROWS = [
@@ -60,6 +60,6 @@ def test_damaged_scores_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         with pytest.raises(ScoresError, match=message):
             read_collection(tmp_path)
     rows.write_bytes(whole)
-    monkeypatch.setattr(scores, "MAX_ROWS", 5)
+    monkeypatch.setattr(collection, "MAX_ROWS", 5)
     with pytest.raises(ScoresError, match="expected at most 5 rows"):
         read_collection(tmp_path)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from magical.errors import MagicalError
-from magical.messages import quoted
+from magical.messages import for_terminal, quoted
 
 FAILED, USAGE, INTERRUPTED = 1, 2, 130  # exit statuses
 
@@ -158,12 +158,12 @@ def plain_interval(interval: Iterable[float]) -> list[float | None]:
 
 def log(message: str) -> None:
     """Print a message that is not the result, on standard error."""
-    print(message, file=sys.stderr)
+    print(for_terminal(message), file=sys.stderr)
 
 
 def print_table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
     """Print a table in aligned columns; columns of numbers are aligned to the right."""
-    cells = [[str(cell) for cell in row] for row in rows]
+    cells = [[for_terminal(str(cell)) for cell in row] for row in rows]
     widths = [max(map(len, column)) for column in zip(header, *cells, strict=True)]
     columns = list(zip(*cells, strict=True)) or [()] * len(header)
     numeric = [bool(column) and all(map(_is_number, column)) for column in columns]

@@ -18,6 +18,7 @@ from magical.commands._common import (
     print_json,
     print_table,
 )
+from magical.messages import for_terminal
 
 if TYPE_CHECKING:
     from magical.report.leaderboard.ranking import Standing
@@ -66,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
         print()
     for reasons, entries in by_reasons(board.rejected):
         more = f" and {len(entries) - 1} more" if entries[1:] else ""
-        print(f"not ranked: {entries[0].folder}{more}: {reasons}")
+        print(for_terminal(f"not ranked: {entries[0].folder}{more}: {reasons}"))
     if args.out:
         board.write(args.out)
         log(f"wrote {args.out / 'index.html'}")

@@ -90,20 +90,12 @@ def run(args: argparse.Namespace) -> int:
 def _imports(config: "Config") -> str:
     """`--import` for each module that the configuration names, which new processes need."""
     from magical.envs.vector.workers import defining_modules
-    from magical.learning.config import options
-    from magical.learning.networks import TIMM
+    from magical.learning.algorithms import modules_of
     from magical.tasks import get_task
 
-    plain = config.to_dict()
-    named = [plain["algorithm"], *(plain[o.name] for o in options(type(config)) if o.open)]
-    texts = (n for n in named if isinstance(n, str) and not n.startswith(TIMM))
-    modules = dict.fromkeys(
-        (
-            *defining_modules([get_task(name) for name in config.tasks]),
-            *(name.rpartition(":")[0] for name in texts),
-        )
-    )
-    return "".join(f" --import {shlex.quote(module)}" for module in modules if module)
+    tasks = [get_task(name) for name in config.tasks]
+    modules = dict.fromkeys((*defining_modules(tasks), *modules_of(config)))
+    return "".join(f" --import {shlex.quote(module)}" for module in modules)
 
 
 class _ParseOptions(argparse.Action):
@@ -213,7 +205,7 @@ def _config(args: argparse.Namespace) -> "Config":
         if (value := getattr(args, _dest(option.name), None)) is not None
     }
     if args.resume and args.preset is None:
-        recorded = read_config(args.out)
+        recorded = read_config(args.out, given)
         if recorded.algorithm != args.algorithm:
             raise UsageError(
                 f"{args.out}: expected a run of {args.algorithm}, found one of {recorded.algorithm}"

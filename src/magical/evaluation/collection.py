@@ -21,6 +21,7 @@ from magical.untrusted import read_json
 
 ENTRIES_FILE, ROWS_FILE = "entries.json", "scores.csv.gz"
 MAX_BYTES = 1 << 26  # of `entries.json`
+MAX_ROWS = 1_000_000  # of a compressed file, which may hold any number: 166 runs on sixty variants
 
 
 def is_collection(folder: Path) -> bool:
@@ -75,7 +76,8 @@ def _read_scores(path: Path) -> dict[str, list[RolloutScore]]:
             open_regular(path, follow_links=True) as file,
             gzip.GzipFile(fileobj=file, mode="rb") as rows,
         ):
-            for number, line in enumerate(read_lines(rows, ("entry", *HEADER), path), 2):
+            lines = read_lines(rows, ("entry", *HEADER), path, MAX_ROWS)
+            for number, line in enumerate(lines, 2):
                 row = parse_row(line[1:], path, number)
                 scores.setdefault(line[0], []).append(row)
     except (OSError, EOFError, zlib.error) as error:

@@ -15,7 +15,13 @@ from magical.envs.episode import checked_nudge
 from magical.errors import MagicalError, ScoresError
 from magical.evaluation.policy import Policy, action_spec_of, observed
 from magical.evaluation.protocol import Evaluation
-from magical.evaluation.scores import RolloutScore, check_protocol, read_scores, write_scores
+from magical.evaluation.scores import (
+    MAX_ROWS,
+    RolloutScore,
+    check_protocol,
+    read_scores,
+    write_scores,
+)
 from magical.files import write_atomically
 from magical.messages import quoted
 from magical.observe import STATE, Observation, parse_spec
@@ -95,6 +101,8 @@ class Entry(_EntryFile):
 
         `action_space` is added to the details unless it is the benchmark's discrete one.
         """
+        if (count := len(evaluation.env_ids) * evaluation.rollouts) > MAX_ROWS:
+            raise ScoresError(f"expected at most {MAX_ROWS} rollouts in an entry, found {count}")
         task = evaluation.env_ids[0].task_spec
         observation, privileged = observed(policy, evaluation.observation, task)
         actions = action_spec_of(policy)

@@ -31,7 +31,7 @@ class RolloutScore(NamedTuple):
 
 
 HEADER = RolloutScore._fields
-MAX_ROWS = 10_000_000  # a compressed file may hold any number
+MAX_ROWS = 60_000  # of an entry: 1,000 rollouts in each of sixty environments
 MAX_LINE = 2000  # characters
 
 
@@ -47,17 +47,17 @@ def read_scores(path: Path | str) -> list[RolloutScore]:
     """Read what `write_scores` wrote; raises `ScoresError` naming the line that is wrong."""
     source = Path(path)
     with reading(source, ScoresError), open_regular(source, follow_links=True) as file:
-        lines = read_lines(file, HEADER, path)
+        lines = read_lines(file, HEADER, path, MAX_ROWS)
         return [parse_row(line, path, number) for number, line in enumerate(lines, 2)]
 
 
 def read_lines(
-    file: IO[bytes] | GzipFile, header: Sequence[str], path: Path | str
+    file: IO[bytes] | GzipFile, header: Sequence[str], path: Path | str, most: int
 ) -> Iterator[list[str]]:
     """The lines of a CSV file of any origin, after its header, bounded in length and number.
 
     Raises:
-        ScoresError: another header, more lines than `MAX_ROWS`, or a line that is not CSV.
+        ScoresError: another header, more than `most` lines, or a line that is not CSV.
     """
     with io.TextIOWrapper(file, "utf-8", errors="replace", newline="") as text:
         # A longer line is read in parts, which are not valid rows.
@@ -67,9 +67,9 @@ def read_lines(
             if tuple(found) != tuple(header):
                 shown = quoted(found) if found else "nothing"
                 raise ScoresError(f"{path}: expected the header {','.join(header)}, found {shown}")
-            yield from islice(lines, MAX_ROWS)
+            yield from islice(lines, most)
             if next(lines, None) is not None:
-                raise ScoresError(f"{path}: expected at most {MAX_ROWS} rows, found more")
+                raise ScoresError(f"{path}: expected at most {most} rows, found more")
         except csv.Error as error:
             raise ScoresError(f"{path}: line {lines.line_num} is damaged: {error}") from error
 

@@ -16,6 +16,7 @@ from magical.experiments.plan import PlannedRun
 from magical.experiments.results import DONE, FAILED, Outcome
 from magical.experiments.status import RUNNING, STATES, RunStatus, Status, read_status
 from magical.grouping import group_by
+from magical.messages import for_terminal
 from magical.progress import LINE_INTERVAL, print_line
 
 SHOWN = 20  # the most runs in progress, and the most failed ones, that are listed
@@ -70,7 +71,7 @@ def status_table(status: Status) -> RenderableType:
         _add_row(table, method, runs)
     if len(groups) > 1:
         _add_row(table, "all", status.runs)
-    return Group(table, *map(Text, _lines(status)))
+    return Group(table, *(Text(for_terminal(line)) for line in _lines(status)))
 
 
 def duration(seconds: float) -> str:
@@ -81,7 +82,7 @@ def duration(seconds: float) -> str:
 def _add_row(table: Table, name: str, runs: Iterable[RunStatus]) -> None:
     states = [run.state for run in runs]
     counts = [str(states.count(state) or "") for state in STATES]
-    table.add_row(Text(name), *counts, str(len(states)))
+    table.add_row(Text(for_terminal(name)), *counts, str(len(states)))
 
 
 def _summary(status: Status) -> str:

@@ -21,7 +21,13 @@ from magical.experiments.demonstrations import (
     require_same_demonstrations,
 )
 from magical.experiments.display import Display
-from magical.experiments.one_run import evaluate_reference, finish, record_failure, reference_folder
+from magical.experiments.one_run import (
+    evaluate_reference,
+    finish,
+    modules_of_run,
+    record_failure,
+    reference_folder,
+)
 from magical.experiments.plan import PlannedRun
 from magical.experiments.results import (
     DONE,
@@ -72,7 +78,7 @@ class LocalExecutor:
     def start(self, run: PlannedRun, demos: Path | None) -> Future[Outcome]:
         """Start a run in a process."""
         folder = self._results.folder(run)
-        work = with_tasks(partial(finish, folder=folder, demos=demos), modules_for(None, run.tasks))
+        work = with_tasks(partial(finish, folder=folder, demos=demos), modules_of_run(run))
         return self._pool.submit(work, run)
 
     def stop(self) -> None:

@@ -12,12 +12,13 @@ from magical.errors import CheckpointError, MagicalError, ScoresError
 from magical.evaluation import BUILT_IN, Entry, read_entry
 from magical.evaluation.entry import ENTRY_FILE, SCORES_FILE
 from magical.evaluation.protocol import Evaluation
-from magical.evaluation.rollouts import roll_out
+from magical.evaluation.rollouts import modules_for, roll_out
 from magical.experiments.entries import evaluation_details
 from magical.experiments.plan import PlannedRun
 from magical.experiments.results import DONE, FAILED, Outcome
 from magical.files import is_out_of_space, remove_partial_files
 from magical.learning import is_run, load_policy, train
+from magical.learning.algorithms import modules_of
 from magical.learning.config import DemonstrationSettings
 from magical.messages import printable
 from magical.runs.folder import write_json
@@ -26,6 +27,11 @@ from magical.runs.plan import REFERENCES, RESULT
 
 MAX_ERROR = 2_000  # characters of a recorded message
 MAX_TRACEBACK = 20_000  # and of a traceback, whose end is kept
+
+
+def modules_of_run(run: PlannedRun) -> list[str]:
+    """The modules that a process must import before it calls `finish`."""
+    return [*modules_of(run.config), *modules_for(None, run.tasks)]
 
 
 def finish(run: PlannedRun, folder: Path, demos: Path | None) -> Outcome:

@@ -22,8 +22,10 @@ from magical.evaluation.protocol import ROLLOUTS, Evaluation, environments
 from magical.experts import get_planner
 from magical.experts.noise import check_share
 from magical.learning import Config, find_algorithm
+from magical.learning.algorithms import references
 from magical.learning.config import DemonstrationSettings, options
 from magical.messages import quoted
+from magical.plugins import require_imported
 from magical.runs.plan import ListedRun, file_name
 from magical.tasks import TASKS, load_task, parse_horizon
 from magical.tasks.axes import full_variant
@@ -66,11 +68,15 @@ class Method:
         if not self.name.strip() or not self.name.isprintable():
             raise PlanError(f"name: expected printable characters, found {quoted(self.name)}")
         with _plan_errors("algorithm: "):
+            require_imported(self.algorithm, "the plan")
             config = find_algorithm(self.algorithm).config
         known = [name for option in options(config) if (name := option.name) not in OF_THE_PLAN]
         for name in self.settings:
             if name not in known:
                 raise PlanError(f"settings.{name}: unknown; expected some of: {', '.join(known)}")
+        with _plan_errors("settings: "):
+            for name in references(config, self.settings):
+                require_imported(name, "the plan")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -123,6 +129,8 @@ class Plan:
             checked_nudge(self.nudge)
             object.__setattr__(self, "horizon", parse_horizon(self.horizon))
         with _plan_errors("tasks: "):
+            for name in self.tasks:
+                require_imported(name, "the plan")
             names = tuple(load_task(name).name for name in self.tasks)
             object.__setattr__(self, "tasks", names)
         with _plan_errors("variants: "):

@@ -23,8 +23,7 @@ from ray.exceptions import (
 )
 
 from magical.errors import ClusterError, ResultsError
-from magical.evaluation.rollouts import modules_for
-from magical.experiments.one_run import finish
+from magical.experiments.one_run import finish, modules_of_run
 from magical.experiments.plan import PlannedRun
 from magical.experiments.results import DONE, Outcome, Results, read_experiment
 from magical.files import LOCK, make_folder
@@ -90,7 +89,7 @@ class RayExecutor:
             # References in a list are not fetched before they are needed.
             dataset = (str(demos), [self._packed[demos]]) if demos else None
             reference = task.remote(
-                run, str(folder), self._results.id, dataset, modules_for(None, run.tasks)
+                run, str(folder), self._results.id, dataset, modules_of_run(run)
             )
             ended: Future[Returned] = reference.future()
         self._tasks[ended] = reference

@@ -40,7 +40,10 @@ VERSIONED = ("torch", "numpy", "pymunk", "numba", "safetensors")  # what results
 
 def is_run(path: Path | str) -> bool:
     """Whether a path is a run folder."""
-    return (Path(path) / CONFIG).is_file()
+    try:
+        return (Path(path) / CONFIG).is_file()
+    except OSError:  # such as a name that is too long
+        return False
 
 
 @contextmanager

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from magical.errors import ResultsError
-from magical.messages import quoted
+from magical.messages import printable, quoted
 from magical.untrusted import read_json
 
 PLAN = "plan.json"  # in a results folder: the planned runs
@@ -14,6 +14,7 @@ RUNS = "runs"  # in a results folder: the folder that holds the run folders
 REFERENCES = "references"  # in a results folder: a folder for each reference policy and task
 RESULT = "result.json"  # in a run's folder: its final record
 MAX_BYTES = 1 << 26  # of `plan.json`
+MAX_FOLDER = 255  # bytes of a folder's name: what file systems allow
 MAX_NAME = 40  # characters of a method's name in a file's name
 
 
@@ -27,13 +28,21 @@ class ListedRun:
     seed: int
     total: int
 
-    def __post_init__(self) -> None:
-        if Path(self.folder).name != self.folder:
-            raise ValueError(f"folder: expected a folder's name, found {quoted(self.folder)}")
+    @property
+    def damage(self) -> str:
+        """What is wrong with the folder's name, which comes from a file; empty if nothing is."""
+        name = self.folder
+        too_long = len(name.encode(errors="replace")) > MAX_FOLDER
+        if Path(name).name == name and name not in ("", "..") and "\0" not in name and not too_long:
+            return ""
+        return (
+            f"damaged: {PLAN} lists it in {quoted(name, 60)}, expected a folder's name of at most "
+            f"{MAX_FOLDER} bytes"
+        )
 
     def __str__(self) -> str:
         """For messages, for instance `BC (ST), MoveToCorner, seed 0`."""
-        return f"{self.method}, {in_words(self.tasks)}, seed {self.seed}"
+        return printable(f"{self.method}, {in_words(self.tasks)}, seed {self.seed}")
 
 
 def in_words(tasks: tuple[str, ...]) -> str:

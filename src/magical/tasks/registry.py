@@ -9,7 +9,7 @@ from types import ModuleType
 from typing import Any, TypeVar
 
 from magical.errors import InvalidTaskError, PluginError, UnknownNameError
-from magical.plugins import load_plugin, plugins
+from magical.plugins import import_user_module, load_plugin, plugins
 from magical.tasks.axes import VARIANTS
 from magical.tasks.programs.generated import generated_task, is_generated
 from magical.tasks.task import Task
@@ -122,9 +122,9 @@ def possible_variants(name: str) -> tuple[str, ...]:
 
 
 def load_tasks(modules: Iterable[str]) -> None:
-    """Import modules by name and register the tasks that they hold."""
+    """Import a user's modules in a new process and register the tasks that they hold."""
     for module in modules:
-        register_tasks_of(importlib.import_module(module))
+        register_tasks_of(import_user_module(module))
 
 
 def register_tasks_of(module: ModuleType) -> None:

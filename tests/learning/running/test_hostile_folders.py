@@ -6,20 +6,26 @@ import shutil
 import sys
 from collections import Counter
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
+from magical import plugins
+from magical.cli import main
+from magical.envs.seeds import evaluation_seed
 from magical.errors import MagicalError, PluginError
+from magical.evaluation import Entry, RolloutScore, environments
+from magical.evaluation.protocol import Evaluation
+from magical.experiments.entries import evaluation_details
 from magical.learning import load_policy, read_config, train
 from magical.learning.algorithms.bc import BCConfig
 from magical.learning.running.checkpoints import load_checkpoint, save_checkpoint
 from magical.plugins import import_user_module
 from magical.runs import read_metrics
 from magical.runs.folder import CHECKPOINT, CONFIG, METRICS, PREVIOUS, RECORD
+from magical.web.policies import Policies
 from tests.learning.tiny_runs import tiny
 
 ODD: tuple[Any, ...] = (None, True, -1, 10**400, 1e308, "", "x" * 10_000, [], {}, [[]], {"a": 1})
@@ -104,42 +110,105 @@ def test_whatever_a_record_holds_is_accepted_or_refused(
 
 
 @pytest.mark.parametrize("key", ["algorithm", "network", "observation", "perception"])
-def test_no_module_of_the_working_folder_is_imported_on_a_record_s_word(
+def test_no_module_is_imported_because_a_record_names_it(
     key: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.delitem(sys.modules, "this", raising=False)  # another test may have imported it
     for module in ("planted.py", "run/planted.py", "json.py", "numpy.py", "timm.py"):
         Path(module).write_text("raise SystemExit('imported')\n")
+    (tmp_path / "site").mkdir()
+    (tmp_path / "site" / "on_the_path.py").write_text("raise SystemExit('imported')\n")
+    monkeypatch.syspath_prepend(tmp_path / "site")  # as an installed package is
     data = json.loads((folder / CONFIG).read_text())
+    if key == "perception":
+        data = {"algorithm": "object-bc"}
     files = "run/planted.py:NAME", f"{folder}/planted.py:NAME", "json.py:NAME", "numpy.py:NAME"
+    installed = (
+        "on_the_path:NAME",
+        "unittest.__main__:main",
+        "builtins:input",
+        "sys:exit",
+        "torch:nn",
+    )
     models = ["timm:NAME"] if key != "network" else []
-    for name in ("planted:NAME", *files, "this:s", *models):
+    for name in ("planted:NAME", "\0.py:NAME", *files, *installed, "this:s", *models):
         (folder / CONFIG).write_text(json.dumps({**data, key: name}))
-        with pytest.raises(PluginError, match=r"config.json names .*not installed.*--import"):
+        with pytest.raises(PluginError, match=r"config.json names .*not one that you imported"):
             read_config(folder)
+    assert not {"planted", "on_the_path", "unittest.__main__", "this"} & sys.modules.keys()
 
 
-def test_other_modules_of_an_imported_package_may_be_named(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
+PLANTED = "from pathlib import Path\nPath(__file__).with_name('marker').touch()\n"
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "evaluate RUN --task MoveToCorner --variants Demo --rollouts 1 --workers 0",
+        "verify RUN --workers 0",
+        "report RUN --out page.html --clips 1",
+        "train bc --out RUN --resume",
+    ],
+)
+@pytest.mark.parametrize("name", ["planted_in_site:NAME", "unittest.__main__:main", "sys:exit"])
+def test_no_command_imports_what_a_run_names(
+    name: str,
+    command: str,
+    folder: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "site").mkdir()
+    (tmp_path / "site" / "planted_in_site.py").write_text(PLANTED)
+    monkeypatch.syspath_prepend(tmp_path / "site")
+    evaluation = Evaluation.of(environments(["MoveToCorner"], ["Demo"]), rollouts=1)
+    scores = [RolloutScore(evaluation.env_ids[0], 0, evaluation_seed(0), 0.5, 0.5)]
+    details = evaluation_details(str(folder), folder)
+    Entry.of(load_policy(folder), evaluation, method="A", scores=scores, details=details).write(
+        folder
+    )
     data = json.loads((folder / CONFIG).read_text())
-    (folder / CONFIG).write_text(json.dumps({**data, "network": "imported_package.nets:NETWORK"}))
-    with pytest.raises(PluginError, match="not installed"):
-        read_config(folder)
-    monkeypatch.setitem(sys.modules, "imported_package", ModuleType("imported_package"))
-    assert read_config(folder).to_dict()["network"] == "imported_package.nets:NETWORK"
+    (folder / CONFIG).write_text(json.dumps({**data, "observation": name}))
+    assert main(command.replace("RUN", "run").split()) == 1
+    module = name.rpartition(":")[0]
+    assert f"add to the command: --import {module} " in capsys.readouterr().err
+    assert not (tmp_path / "site" / "marker").exists()
 
 
-def test_a_file_that_the_user_imported_may_be_named(folder: Path, tmp_path: Path) -> None:
+def test_the_browser_imports_nothing_that_a_run_names(folder: Path) -> None:
     data = json.loads((folder / CONFIG).read_text())
-    name = f"{tmp_path / 'own_network.py'}:NETWORK"
-    (tmp_path / "own_network.py").write_text("NETWORK = None\n")
-    (folder / CONFIG).write_text(json.dumps({**data, "network": name}))
-    with pytest.raises(PluginError, match="not installed"):
-        read_config(folder)
-    import_user_module(name.rpartition(":")[0])
-    assert read_config(folder).to_dict()["network"] == name
+    (folder / CONFIG).write_text(json.dumps({**data, "observation": "unittest.__main__:main"}))
+    policies = Policies([folder])
+    with pytest.raises(PluginError, match=r"--import unittest\.__main__ "):
+        policies.load(1)
+    assert "unittest.__main__" not in sys.modules
+
+
+def test_what_the_user_imported_may_be_named(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(tmp_path)
+    for module in ("own_nets", "own_file"):
+        (tmp_path / f"{module}.py").write_text("NETWORK = None\n")
+    data = json.loads((folder / CONFIG).read_text())
+    file = str(tmp_path / "own_file.py")
+    for imported, name in (
+        ("own_nets", "own_nets:NETWORK"),
+        (file, f"{file}:NETWORK"),
+        (file, "own_file:NETWORK"),
+    ):
+        (folder / CONFIG).write_text(json.dumps({**data, "network": name}))
+        with monkeypatch.context() as patch:
+            patch.delitem(sys.modules, "own_file", raising=False)
+            patch.setattr(plugins, "_imported_names", set())
+            patch.setattr(plugins, "_imported_files", {})
+            with pytest.raises(PluginError, match="not one that you imported"):
+                read_config(folder)
+            import_user_module(imported)
+            assert read_config(folder).to_dict()["network"] == name
 
 
 def test_gpu_memory_that_does_not_suffice_is_named(

@@ -145,6 +145,7 @@ def _resume(url: str, part: Path) -> None:
                 file.write(chunk)
                 received += len(chunk)
         if received + (response.length or 0) > room:
+            part.unlink()  # so that another run can begin anew
             raise DownloadError(f"expected at most {MAX_BYTES} bytes, found more")
         if response.length:
             raise IncompleteRead(b"", response.length)

@@ -11,7 +11,7 @@ from importlib.util import find_spec
 
 from magical.errors import NoExpertError, PluginError
 from magical.experts.planning import Planner
-from magical.plugins import is_plugin, load_plugin, plugins
+from magical.plugins import load_plugin, plugins
 from magical.tasks import TASKS, get_task
 from magical.tasks.programs.generated import is_generated
 
@@ -47,7 +47,7 @@ def get_planner(task: str) -> Planner:
     planner: Planner
     if _is_ours(task):
         planner = importlib.import_module(f"{__name__}.{_file(task)}").PLANNER
-    elif is_plugin(GROUP, task):
+    elif task in plugins(GROUP):
         planner = load_plugin(GROUP, task)
     elif is_generated(task) and (program := get_task(task).program) is not None:
         from magical.experts.goals._programs import program_planner

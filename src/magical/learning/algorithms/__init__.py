@@ -5,16 +5,17 @@ Each file has a configuration class, `train(config, run)`, `make_policy(config)`
 group `magical.algorithms`, and any other by `module:NAME`.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from magical.errors import RunFolderError, UnknownNameError
 from magical.extras import require
-from magical.learning.config import Config
+from magical.learning.config import Config, options
 from magical.learning.networks import TIMM
-from magical.plugins import Registry, require_known_module
+from magical.plugins import Registry, require_imported
 from magical.runs.folder import CONFIG, is_run, read_json
 
 if TYPE_CHECKING:
@@ -64,15 +65,16 @@ def find_algorithm(name: str) -> Algorithm:
     return _ALGORITHMS.get(name)
 
 
-def read_config(folder: Path | str) -> Config:
+def read_config(folder: Path | str, given: Mapping[str, Any] = MappingProxyType({})) -> Config:
     """The configuration recorded in a run folder.
 
-    The record may name third-party modules, which are only imported if they are installed or the
-    user has already imported them.
+    Args:
+        folder: the run folder.
+        given: settings by option name that the user has named, too; their modules are imported.
 
     Raises:
         RunFolderError: the record is missing, damaged, or names an unknown algorithm.
-        PluginError: the record names a module that is not installed.
+        PluginError: the record names an object of a module that the user has not imported.
         MissingDependencyError: PyTorch is not installed.
         InvalidConfigError: the settings are invalid.
     """
@@ -80,14 +82,32 @@ def read_config(folder: Path | str) -> Config:
     if not is_run(folder):
         raise RunFolderError(f"{folder}: expected a run folder with {CONFIG}, found none")
     data = read_json(path)
-    names = {key: data.get(key) for key in ("algorithm", "network", "observation", "perception")}
-    for key, name in names.items():
-        if key == "algorithm" and not isinstance(name, str):
-            raise RunFolderError(f"{path}: expected the name of an algorithm, found none")
-        if isinstance(name, str) and not (key == "network" and name.startswith(TIMM)):
-            require_known_module(name, str(path))
+    algorithm = data.get("algorithm")
+    if not isinstance(algorithm, str):
+        raise RunFolderError(f"{path}: expected the name of an algorithm, found none")
+    require_imported(algorithm, str(path))
     try:
-        kind = find_algorithm(str(names["algorithm"])).config
+        kind = find_algorithm(algorithm).config
     except UnknownNameError as error:
         raise RunFolderError(f"{path}: {error}") from error
+    for name in references(kind, data):
+        if name not in given.values():
+            require_imported(name, str(path))
     return kind.from_dict(data, str(path))
+
+
+def references(kind: type[Config], settings: Mapping[str, Any]) -> list[str]:
+    """The `module:NAME` among the settings of a configuration class, by option name."""
+    values = {option.name: settings.get(option.name) for option in options(kind) if option.open}
+    return [
+        value
+        for name, value in values.items()
+        if isinstance(value, str) and ":" in value
+        if name != "network" or not value.startswith(TIMM)
+    ]
+
+
+def modules_of(config: Config) -> list[str]:
+    """What `--import` must name before another process may read the run of a configuration."""
+    names = [config.algorithm, *references(type(config), config.to_dict())]
+    return list(dict.fromkeys(name.rpartition(":")[0] for name in names if ":" in name))

@@ -264,7 +264,9 @@ def _planned(
     # A plan's runs may be in several results folders; run folder names contain a digest.
     left = {run.folder: (run, plan) for plan in plans for run in listed(plan).runs}
     return [
-        (run, _state(plan / RUNS / name)) for name, (run, plan) in left.items() if name not in done
+        (run, run.damage or _state(plan / RUNS / name))
+        for name, (run, plan) in left.items()
+        if name not in done
     ]
 
 

@@ -182,4 +182,6 @@ def _figures(task: str, variant: str, runs: Sequence[Entry], theirs: str | None)
 def _text(value: float | str | None) -> str:
     if value is None:
         return ""
+    if isinstance(value, str) and value.startswith(("=", "+", "-", "@", "\t", "\r")):
+        return f"'{value}"  # a name that a spreadsheet would take for a formula
     return f"{value:.{DIGITS}g}" if isinstance(value, float) else str(value)
