@@ -60,6 +60,7 @@ def test_damaged_scores_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         with pytest.raises(ScoresError, match=message):
             read_collection(tmp_path)
     rows.write_bytes(whole)
+    assert collection.MAX_ROWS <= 1_000_000
     monkeypatch.setattr(collection, "MAX_ROWS", 5)
     with pytest.raises(ScoresError, match="expected at most 5 rows"):
         read_collection(tmp_path)

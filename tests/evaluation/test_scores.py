@@ -15,6 +15,7 @@ from magical.envs.action_spec import ActionSpaceName
 from magical.envs.seeds import evaluation_seed
 from magical.errors import ScoresError
 from magical.evaluation import (
+    BUILT_IN,
     Entry,
     Evaluation,
     FunctionPolicy,
@@ -220,6 +221,17 @@ def test_a_line_without_end_is_not_read_to_its_end(tmp_path: Path) -> None:
         file.truncate(1 << 33)  # of zeros, which take no space
     with pytest.raises(ScoresError, match=r"line 6"):
         read_scores(tmp_path / "scores.csv")
+
+
+def test_an_entry_has_as_many_rows_as_the_protocol_can_need(tmp_path: Path) -> None:
+    line = f"{DEMO},0,0,0.5,0.5\n"
+    path = tmp_path / "scores.csv"
+    path.write_text("env_id,rollout,seed,score,published_code_score\n" + line * 60_001)
+    with pytest.raises(ScoresError, match="expected at most 60000 rows, found more"):
+        read_scores(path)
+    evaluation = Evaluation.of([DEMO], rollouts=60_001)
+    with pytest.raises(ScoresError, match="expected at most 60000 rollouts in an entry"):
+        Entry.of(BUILT_IN["noop"](), evaluation, method="mine", details={})
 
 
 def rows(env_id: EnvId, numbers: list[int], seed: int = 0) -> list[RolloutScore]:

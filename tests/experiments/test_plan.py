@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from magical import plugins
 from magical.cli import main
 from magical.errors import PlanError
 from magical.evaluation import published_methods, published_tasks
@@ -165,6 +166,55 @@ def test_a_wrong_plan_is_refused_with_file_and_key(tmp_path: Path, text: str, me
     with pytest.raises(PlanError, match=message) as refused:
         read_plan(write(tmp_path, text))
     assert str(refused.value).startswith(f"{tmp_path / 'plan.toml'}: ")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        HEAD + BC.replace('"bc"', '"planned_code:ALGORITHM"'),
+        HEAD + BC + 'settings = { network = "planned_code:NETWORK" }',
+        HEAD + BC + 'settings = { observation = "planned_code:OBSERVATION" }',
+        HEAD
+        + BC.replace('"bc"', '"object-bc"')
+        + 'settings = { perception = "planned_code:FIND" }',
+        'tasks = ["planned_code:TASK"]\n' + BC,
+    ],
+)
+def test_a_plan_imports_no_module(
+    text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "planned_code.py").write_text("raise SystemExit('imported')\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(PlanError, match=r"the plan names .*add to the command: --import planned_"):
+        read_plan(write(tmp_path, text))
+
+
+NETWORK = """
+from types import SimpleNamespace
+from torch import nn
+
+NETWORK = SimpleNamespace(
+    HIDDEN=(8,), make_convolutions=lambda channels, batch_norm: nn.Conv2d(channels, 2, 8, 8)
+)
+"""
+
+
+def test_the_processes_of_a_plan_import_what_its_user_imported(
+    tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(plugins, "_imported_names", set())
+    (tmp_path / "net_of_plan.py").write_text(NETWORK)
+    text = tiny.read_text().replace("seeds = [0, 1]", "seeds = [0]")
+    text = text.replace("{ batches", '{ network = "net_of_plan:NETWORK", batches')
+    plan, out = write(tmp_path, text), tmp_path / "out"
+    command = ["run", str(plan), "--out", str(out), "--workers", "1"]
+    assert main(command) == 2
+    assert main([*command, "--import", "net_of_plan"]) == 0
+    (result,) = out.glob("runs/*/result.json")
+    result.unlink()  # ended between training and the last record
+    assert main([*command, "--import", "net_of_plan"]) == 0
+    assert result.exists()
 
 
 def test_a_wrong_plan_is_wrong_usage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -202,6 +202,20 @@ def test_false_content_length_changes_nothing_or_is_named(
         assert (tmp_path / "file").read_bytes() == b"content"
 
 
+def test_a_file_that_was_too_large_is_fetched_anew(
+    tmp_path: Path, served: Archive, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    size = (served.folder / ONE).stat().st_size
+    part = tmp_path / f"{ONE}.part"
+    part.parent.mkdir(parents=True)
+    part.write_bytes(b"x" * (size - 1))  # with its last byte, more than is allowed
+    monkeypatch.setattr("magical.demos.human.download.MAX_BYTES", size - 1)
+    assert "expected at most" in fetch_all(ONE_SUM, tmp_path, served.url).errors[0]
+    assert not part.exists()
+    monkeypatch.undo()
+    assert fetch_all(ONE_SUM, tmp_path, served.url).errors == []
+
+
 @pytest.mark.parametrize(
     ("reply", "message"),
     [

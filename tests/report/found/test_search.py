@@ -1,9 +1,11 @@
 """Evaluated runs in folders, and what is missing among them."""
 
+import json
 from pathlib import Path
 
 import pytest
 
+from magical import cli
 from magical.errors import ScoresError
 from magical.evaluation import read_entry
 from magical.evaluation.collection import write_collection
@@ -173,6 +175,47 @@ def test_a_plan_says_which_runs_are_missing(write_entry: WriteEntry, tmp_path: P
         ("a", "MoveToRegion", "seed 2: not finished"),
         ("a", "MoveToRegion", "seed 3: not run"),
     ]
+
+
+@pytest.mark.parametrize("name", ["x" * 300, "é" * 200, "../..", "..", "a/b", "", "a\0b"])
+def test_a_plan_that_lists_what_is_no_folder_name_is_used_without_it(
+    name: str, write_entry: WriteEntry, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_entry("runs/done", "a", REGION, seed=0)
+    write_plan(tmp_path, "done", name, task="MoveToRegion")
+    found = find_results([tmp_path])
+    assert [result.folder.name for result in found.results] == ["done"]
+    (missing,) = find_missing(found)
+    assert missing[2].startswith("seed 1: damaged: plan.json lists it in")
+    write_json(tmp_path / "experiment.json", {})
+    assert cli.main(["status", str(tmp_path), "--json"]) == 0
+    shown = capsys.readouterr().out.splitlines()
+    assert json.loads(shown[-1])["failures"].keys() == {name}
+    (line,) = (line for line in shown if line.startswith("failed: "))
+    assert "expected a folder's name of at most 255 bytes" in line
+
+
+def test_escape_sequences_in_names_do_not_reach_the_terminal(
+    write_entry: WriteEntry, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_entry("runs/\x1b[2Jdone", "a", REGION, seed=0)
+    write_entry("runs/\x1b[2Jcopy", "a", REGION, seed=0)
+    write_entry("runs/\x1b[2Jdamaged", "a", REGION)
+    (tmp_path / "runs" / "\x1b[2Jdamaged" / "scores.csv").write_text("nothing")
+    plan = {"folder": "x", "method": "\x1b[2J", "tasks": ["\x1b[2J"], "seed": 0, "total": 1}
+    write_json(tmp_path / "experiment.json", {})
+    for command in ("report", "leaderboard", "status"):
+        if command == "status":
+            write_json(tmp_path / "plan.json", {"runs": [plan]})
+            write_json(
+                tmp_path / "runs" / "x" / "result.json", {"state": "failed", "error": "\x1b"}
+            )
+        assert cli.main([command, str(tmp_path)]) == 0
+        shown = capsys.readouterr()
+        assert "\x1b" not in shown.out + shown.err
+        assert "\\x1b[2J" in shown.out + shown.err
+    assert cli.main(["report", str(tmp_path / "runs" / "\x1b[2Jdamaged")]) == 1
+    assert "\\x1b[2Jdamaged" in capsys.readouterr().err
 
 
 def test_a_training_run_counts_once_in_a_row(write_entry: WriteEntry, tmp_path: Path) -> None:
