@@ -1,7 +1,7 @@
 """Collect the scores of a plan's runs in `studies/STUDY/results/PLAN`, without weights.
 
 python -m studies.collect RUNS [RUNS ...] --out studies/STUDY/results/PLAN [--plan FILE]
-    [--leaderboard] [--looks N] [--dataset NAME]
+    [--leaderboard] [--looks N] [--dataset NAME] [--import MODULE ...]
 
 RUNS are results folders of `magical run`, finished or not; several may hold parts of one plan. Runs
 that were collected before are kept and not read again, so the command can be repeated while runs
@@ -47,6 +47,7 @@ from magical.experiments.results import (
     read_state,
     run_folders,
 )
+from magical.plugins import import_user_module
 from magical.report.found.statements import LOOKS
 from magical.runs.folder import read_json, write_json
 from magical.runs.plan import PLAN, RESULT, RUNS
@@ -278,7 +279,12 @@ def main(arguments: Sequence[str]) -> int:
         "--looks", type=int, metavar="N", help="how often test variants were evaluated"
     )
     parser.add_argument("--dataset", default=DATASET, metavar="NAME", help="such as human")
+    parser.add_argument(
+        "--import", dest="imports", nargs="+", default=[], help="modules that the plan names"
+    )
     args = parser.parse_args(arguments)
+    for module in args.imports:
+        import_user_module(module)
     if args.looks is not None and args.looks < 0:
         parser.error(f"--looks: expected 0 or more, found {args.looks}")
     name = f"{args.out.absolute().name}.toml"

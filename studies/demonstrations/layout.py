@@ -24,6 +24,7 @@ from magical.learning import train
 from magical.learning.algorithms.ppo import ReinforcementConfig
 from magical.learning.running.checkpoints import load_newest_checkpoint
 from magical.learning.running.devices import cpu_threads
+from magical.plugins import import_user_module
 from magical.runs import is_run
 from magical.runs.folder import CHECKPOINT
 from magical.runs.plan import RUNS
@@ -75,7 +76,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--every", type=int, default=50_000, metavar="STEPS", help="default: 50000")
     parser.add_argument("--task", nargs="+", default=[], help="default: the plan's")
     parser.add_argument("--rollouts", type=int, default=100, help="default: 100")
+    parser.add_argument(
+        "--import", dest="imports", nargs="+", default=[], help="modules that the plan names"
+    )
     args = parser.parse_args(arguments)
+    for module in args.imports:
+        import_user_module(module)
     out = args.out or Path("runs", args.plan.stem)
     runs = planned_runs(read_plan(args.plan))
     with opened(out, runs) as results:

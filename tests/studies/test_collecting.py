@@ -11,12 +11,13 @@ import pytest
 from magical.evaluation import Entry, Evaluation, environments, read_entry
 from magical.evaluation.collection import write_collection
 from magical.evaluation.entry import ENTRY_FILE, SCORES_FILE
-from magical.experiments.plan import planned_runs, read_plan
+from magical.experiments.plan import planned_runs
 from magical.report.found.search import search_results
 from magical.report.leaderboard import make_leaderboard
 from studies import collect as collect_results
 from studies.generated_tasks.baselines import read_methods
 from tests.experiments.conftest import Planned
+from tests.studies.study_plans import read_study_plan
 
 
 @pytest.fixture
@@ -243,6 +244,6 @@ def test_all_that_was_collected_is_of_todays_plans(root: Path) -> None:
     for path in root.glob("studies/*/results/*/plan.json"):
         collected = collect_results.Collected(**json.loads(path.read_text())["collected"])
         plan = path.parents[2] / "plans" / f"{path.parent.name}.toml"
-        planned = {run.folder: run for run in planned_runs(read_plan(plan))}
+        planned = {run.folder: run for run in planned_runs(read_study_plan(plan))}
         collected.adopt(planned)
         assert collected.runs.keys() <= planned.keys(), path

@@ -6,12 +6,13 @@ import pytest
 
 from magical.evaluation import published_methods
 from magical.evaluation.protocol import Evaluation, environments
-from magical.experiments.plan import Plan, planned_runs, read_plan
+from magical.experiments.plan import Plan, planned_runs
+from tests.studies import study_plans
 
 
 def read_study_plan(root: Path, name: str) -> Plan:
     (path,) = root.glob(f"studies/*/plans/{name}.toml")
-    return read_plan(path)
+    return study_plans.read_study_plan(path)
 
 
 RESULTS = {  # the plans of the benchmark's own results: number of runs, demonstrations
