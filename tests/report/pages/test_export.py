@@ -46,15 +46,16 @@ def test_csv_has_every_number(results: Path, tmp_path: Path) -> None:
     assert (odd["published"], odd["difference"]) == ("", "")
 
 
-@pytest.mark.parametrize("first", ["=", "+", "-", "@", "\t"])
+@pytest.mark.parametrize("first", ["=", "+", "-", "@"])
 def test_names_are_no_formulas_of_a_spreadsheet(
     first: str, write_entry: WriteEntry, tmp_path: Path
 ) -> None:
-    name = f"{first}HYPERLINK(1)" if first != "\t" else "=1"
+    name = f"{first}HYPERLINK(1)"
     write_entry("in/one", name, {"FindDupe-Demo": [0.0, 0.5]})
     out = tmp_path / "table.csv"
     assert cli.main(["report", str(tmp_path / "in"), "--out", str(out)]) == 0
-    (row,) = csv.DictReader(out.open(newline=""))
+    with out.open(newline="") as file:
+        (row,) = csv.DictReader(file)
     assert (row["method"], row["score"]) == (f"'{name}", "0.25")
 
 
