@@ -203,17 +203,17 @@ def test_false_content_length_changes_nothing_or_is_named(
 
 
 def test_a_file_that_was_too_large_is_fetched_anew(
-    tmp_path: Path, served: Archive, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, serve: Callable[[Reply], str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    size = (served.folder / ONE).stat().st_size
-    part = tmp_path / f"{ONE}.part"
-    part.parent.mkdir(parents=True)
-    part.write_bytes(b"x" * (size - 1))  # with its last byte, more than is allowed
-    monkeypatch.setattr("magical.demos.human.download.MAX_BYTES", size - 1)
-    assert "expected at most" in fetch_all(ONE_SUM, tmp_path, served.url).errors[0]
+    (tmp_path / "served").mkdir()
+    (tmp_path / "served" / "file").write_bytes(b"content")
+    url, part = serve(Archive(tmp_path / "served")), tmp_path / "file.part"
+    part.write_bytes(b"x" * 6)
+    monkeypatch.setattr("magical.demos.human.download.MAX_BYTES", 6)
+    assert "expected at most 6 bytes" in fetch_all(SUMS, tmp_path, url).errors[0]
     assert not part.exists()
     monkeypatch.undo()
-    assert fetch_all(ONE_SUM, tmp_path, served.url).errors == []
+    assert fetch_all(SUMS, tmp_path, url).errors == []
 
 
 @pytest.mark.parametrize(
