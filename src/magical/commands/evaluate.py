@@ -89,8 +89,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help='what the policy learned from, such as demonstrations or "rendered states"; not '
         "needed for run folders, which record it",
     )
-    meaning = "seed of the policy's training run; not needed for run folders, which record it"
-    add_count(parser, "--training-seed", meaning, least=0)
+    add_count(parser, "--training-seed", "the training run's seed; run folders record it", least=0)
     add_count(parser, "--looks", "how often test variants were evaluated before", least=0)
     add_json(parser)
 

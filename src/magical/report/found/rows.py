@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, TypeVar
 
+from magical.envs.action_spec import DISCRETE
 from magical.evaluation import Entry
 from magical.evaluation.protocol import ROLLOUTS, SEED, Evaluated
 from magical.grouping import group_by
@@ -79,7 +80,9 @@ def _differences(settings: Mapping[str, Any], others: Sequence[Mapping[str, Any]
     said = {
         "observation": settings["observation"],
         "privileged": "privileged" if settings["privileged"] else "",
-        "action_space": settings["action_space"] if settings["action_space"] != "discrete" else "",
+        "action_space": settings["action_space"]
+        if settings["action_space"] != DISCRETE.name
+        else "",
         "horizon": f"horizon {settings['horizon']}" if settings["horizon"] != APPENDIX else "",
         "rollouts": f"{rollouts} rollout{'s' * (rollouts > 1)}" if rollouts != ROLLOUTS else "",
         "seed": f"seed {settings['seed']}" if settings["seed"] != SEED else "",
