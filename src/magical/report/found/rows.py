@@ -76,18 +76,15 @@ def _horizon(evaluated: Evaluated) -> str:
 
 def _differences(settings: Mapping[str, Any], others: Sequence[Mapping[str, Any]]) -> list[str]:
     """What distinguishes a row from the others of its method, in words."""
-    rollouts, words = settings["rollouts"], []
+    rollouts, actions = settings["rollouts"], settings["action_space"]
     said = {
         "observation": settings["observation"],
         "privileged": "privileged" if settings["privileged"] else "",
-        "action_space": settings["action_space"]
-        if settings["action_space"] != DISCRETE.name
-        else "",
+        "action_space": actions if actions != DISCRETE.name else "",
         "horizon": f"horizon {settings['horizon']}" if settings["horizon"] != APPENDIX else "",
         "rollouts": f"{rollouts} rollout{'s' * (rollouts > 1)}" if rollouts != ROLLOUTS else "",
         "seed": f"seed {settings['seed']}" if settings["seed"] != SEED else "",
     }
-    for name, word in said.items():
-        if word and any(other[name] != settings[name] for other in others):
-            words.append(word)
+    differ = [name for name in said if any(other[name] != settings[name] for other in others)]
+    words = [said[name] for name in differ if said[name]]
     return [*words, f"nudge {settings['nudge']:g}"] if settings["nudge"] else words
