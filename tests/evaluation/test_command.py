@@ -182,6 +182,18 @@ def test_one_command_writes_an_entry_that_ranks(
     assert (entry.method, entry.nudge, entry.details["looks"]) == ("mine", 1e-9, 2)
 
 
+def test_a_training_seed_tells_runs_apart(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    (tmp_path / "own.py").write_text(POLICY)
+    argv = [f"{tmp_path / 'own.py'}:still", "--task", "MoveToRegion", "--rollouts", "1"]
+    argv += ["--training-seed", "3"]
+    assert evaluate(capsys, *argv, "--out", str(tmp_path / "entry"))[0] == 0
+    assert read_entry(tmp_path / "entry").details["training_seed"] == 3
+    status, _, err = evaluate(capsys, *argv)
+    assert (status, "--training-seed needs --out" in err) == (2, True)
+
+
 def test_what_was_stated_before_counts_when_an_entry_is_made_again(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

@@ -89,6 +89,10 @@ def test_an_evaluated_run_says_what_it_is_and_can_be_verified(
     assert details["learned_from"] == ["demonstrations"]
     assert set(details) >= {"training_seed", "demonstrations", "versions", "commit", "machine"}
     assert details["threads"] == num_threads()
+    again = ["evaluate", str(run), *options, "--out", str(entry), "--training-seed"]
+    assert main([*again, "7"]) == 2
+    assert f"--training-seed 7: {run} records 0; leave the option out" in capsys.readouterr().err
+    assert main([*again, "0"]) == 0
     assert main(["verify", str(entry), "--workers", "0"]) == 0
     assert "confirmed: 3 of 3" in capsys.readouterr().out
     (tmp_path / "far" / "away").mkdir(parents=True)

@@ -89,8 +89,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help='what the policy learned from, such as demonstrations or "rendered states"; not '
         "needed for run folders, which record it",
     )
-    meaning = "number of times that test variants were evaluated while the method was designed"
-    add_count(parser, "--looks", meaning, least=0)
+    add_count(parser, "--training-seed", "the training run's seed; run folders record it", least=0)
+    add_count(parser, "--looks", "how often test variants were evaluated before", least=0)
     add_json(parser)
 
 
@@ -165,7 +165,7 @@ def _check_options(args: argparse.Namespace, policy: "Policy") -> None:
         raise UsageError(
             f"--observation {args.observation}: the policy states its own observation, {own}"
         )
-    for option in ("leaderboard", "method", "learned_from", "looks"):
+    for option in ("leaderboard", "method", "learned_from", "training_seed", "looks"):
         value = getattr(args, option)
         if not args.out and value is not None and value is not False:
             raise UsageError(f"--{option.replace('_', '-')} needs --out, which writes the entry")
@@ -173,13 +173,20 @@ def _check_options(args: argparse.Namespace, policy: "Policy") -> None:
 
 def _details(args: argparse.Namespace) -> dict[str, Any]:
     """What the entry records in addition to the evaluation."""
+    from magical.evaluation.entry import TRAINING_SEED
     from magical.experiments.entries import evaluation_details
     from magical.report.found.statements import LOOKS
     from magical.runs.sources import LEARNED_FROM
 
-    stated = {LEARNED_FROM: args.learned_from, LOOKS: args.looks}
+    seed = args.training_seed
+    stated = {LEARNED_FROM: args.learned_from, TRAINING_SEED: seed, LOOKS: args.looks}
     given = {name: value for name, value in stated.items() if value is not None}
-    return {**evaluation_details(args.policy, args.out), **given}
+    recorded = evaluation_details(args.policy, args.out)
+    if seed is not None and (trained := recorded.get(TRAINING_SEED, seed)) != seed:
+        raise UsageError(
+            f"--training-seed {seed}: {args.policy} records {trained}; leave the option out"
+        )
+    return {**recorded, **given}
 
 
 def _why_unranked(entry: "Entry", evaluation: "Evaluation") -> list[str]:

@@ -14,7 +14,7 @@ from magical.envs.action_spec import DISCRETE
 from magical.envs.episode import checked_nudge
 from magical.errors import MagicalError, ScoresError
 from magical.evaluation.policy import Policy, action_spec_of, observed
-from magical.evaluation.protocol import Evaluation
+from magical.evaluation.protocol import Evaluated, Evaluation
 from magical.evaluation.scores import (
     MAX_ROWS,
     RolloutScore,
@@ -32,6 +32,8 @@ from magical.untrusted import convert, parse_json, read_json
 POLICY = "policy"  # in the details: a run folder relative to the entry's, or a policy's name
 THREADS = "threads"  # in the details: CPU threads that the acting network used
 ACTION_SPACE = "action_space"  # in the details, unless it is the discrete one
+TRAINING_SEED = "training_seed"  # in the details of a trained policy, if known
+DATE = "date"  # in the details: when the evaluation began, ISO 8601
 TRAINING = ("demonstrations", "num_demos", "pretrained_on")  # in the details of some runs
 SCORES_FILE, ENTRY_FILE = "scores.csv", "entry.json"
 
@@ -66,8 +68,6 @@ class _EntryFile:
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Entry(_EntryFile):
     """One training run's evaluation: how it was done, and every rollout's score.
-
-    Entries with the same `row` are runs of one method and share a row of the tables.
 
     Attributes:
         method: the method's name in tables.
@@ -121,27 +121,29 @@ class Entry(_EntryFile):
         )
 
     @property
-    def row(self) -> str:
-        """The row's label: the method, and the nudge if there was one."""
-        return f"{self.method}, nudge {self.nudge:g}" if self.nudge else self.method
+    def evaluated(self) -> Evaluated:
+        """How the scores were obtained."""
+        return Evaluated(
+            env_ids=tuple(dict.fromkeys(row.env_id for row in self.scores)),
+            rollouts=1 + max(row.rollout for row in self.scores),
+            seed=self.seed,
+            observation=self.observation,
+            horizon=parse_horizon(self.horizon),
+            nudge=self.nudge,
+            action_space=str(self.details.get(ACTION_SPACE, DISCRETE.name)),
+            privileged=self.privileged,
+        )
 
     def evaluation(self, policy: Policy) -> Evaluation:
         """The evaluation to repeat with the entry's policy."""
-        env_ids = tuple(dict.fromkeys(row.env_id for row in self.scores))
+        evaluated = self.evaluated
         observation: Observation = None
         # The recorded observation is used only if the policy does not state its own.
         if getattr(policy, "observation", None) is None:
             with suppress(MagicalError):  # not an observation that is known here
-                spec = parse_spec(self.observation, env_ids[0].task_spec)
+                spec = parse_spec(self.observation, evaluated.env_ids[0].task_spec)
                 observation = spec if self.observation.startswith("{") else self.observation
-        return Evaluation(
-            env_ids=env_ids,
-            rollouts=1 + max(row.rollout for row in self.scores),
-            seed=self.seed,
-            observation=observation,
-            horizon=parse_horizon(self.horizon),
-            nudge=self.nudge,
-        )
+        return replace(evaluated, observation=observation)
 
     def write(self, folder: Path | str) -> None:
         """Write both files.

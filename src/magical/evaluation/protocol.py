@@ -1,11 +1,12 @@
 """How a policy is evaluated: one record, from which rollouts, entries, plans and clips are made."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from operator import attrgetter
 from typing import Any, Self
 
 from magical.envs import EnvId, parse_env_id
+from magical.envs.action_spec import DISCRETE
 from magical.envs.episode import checked_nudge
 from magical.errors import UnknownNameError
 from magical.grouping import group_by
@@ -99,6 +100,34 @@ class Evaluation:
     def by_task(self) -> dict[str, list[EnvId]]:
         """The environments of each task, both in the given order."""
         return group_by(self.env_ids, attrgetter("task"))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Evaluated(Evaluation):
+    """How scores were obtained: the evaluation, with the policy's observation and action space.
+
+    Attributes:
+        action_space: the name of the policy's action space.
+        privileged: whether the policy was shown the true state.
+    """
+
+    action_space: str = DISCRETE.name
+    privileged: bool = False
+
+    def on(self, env_id: EnvId) -> Self:
+        """The same in one environment, with the horizon in steps.
+
+        Two scores in an environment are averaged only if this is equal.
+        """
+        return replace(
+            self, env_ids=(env_id,), horizon=env_id.task_spec.resolve_horizon(self.horizon)
+        )
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Everything but the environments, by name."""
+        names = (field.name for field in fields(self) if field.name != "env_ids")
+        return {name: getattr(self, name) for name in names}
 
 
 def environments(

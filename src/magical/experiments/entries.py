@@ -2,12 +2,13 @@
 
 import os
 from contextlib import AbstractContextManager, nullcontext
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from magical.errors import PolicyError
 from magical.evaluation import BUILT_IN, Entry, Policy, load_policy, policy_names
-from magical.evaluation.entry import POLICY, THREADS
+from magical.evaluation.entry import DATE, POLICY, THREADS
 from magical.messages import quoted
 from magical.runs import is_run
 from magical.runs.folder import RECORD, read_json
@@ -24,10 +25,11 @@ def evaluation_details(policy: str, out: Path) -> dict[str, Any]:
         policy: a run folder, which is recorded relative to `out`, or another policy's name.
         out: the entry's folder.
     """
+    made = {DATE: f"{datetime.now(UTC):%FT%TZ}", **provenance()}
     if policy in BUILT_IN:
-        return {POLICY: policy, LEARNED_FROM: [], **provenance()}
+        return {POLICY: policy, LEARNED_FROM: [], **made}
     if policy in policy_names() or not Path(policy).is_dir():
-        return {POLICY: policy, **provenance()}
+        return {POLICY: policy, **made}
     from magical.learning import read_config
     from magical.learning.data.rendered_data import RESAMPLING
     from magical.learning.running.devices import num_threads
@@ -39,7 +41,7 @@ def evaluation_details(policy: str, out: Path) -> dict[str, Any]:
     if PRETRAINED_ON in record:
         details[PRETRAINED_ON] = record[PRETRAINED_ON]
     relative = os.path.relpath(Path(policy).resolve(), out.resolve())  # `..` of a link is elsewhere
-    return {POLICY: relative, **details, **provenance()}
+    return {POLICY: relative, **details, **made}
 
 
 def policy_of(folder: Path, entry: Entry, run: Path | None = None) -> Policy:

@@ -219,15 +219,16 @@ def test_escape_sequences_in_names_do_not_reach_the_terminal(
 
 
 def test_a_training_run_counts_once_in_a_row(write_entry: WriteEntry, tmp_path: Path) -> None:
-    write_entry("a", "bc", LINE, seed=0)
+    write_entry("a", "bc", LINE, seed=0, details={"date": "2050-01-01"})
     write_entry("another-set-of-seeds", "bc", {"MakeLine-Demo": [0.0, 0.0]}, seed=0)
     write_entry("b", "bc", LINE, seed=1)  # equal scores, another run
     write_entry("nudged", "bc", LINE, seed=0, nudge=1e-9)  # another row
     write_entry("third", "mine", LINE)
-    write_entry("third-copy", "mine", LINE)
+    write_entry("third-alike", "mine", LINE)  # too few scores to tell
     found = find_results([tmp_path])
-    assert [r.folder.name for r in found.results] == ["a", "b", "nudged", "third"]
-    assert [item.folder.name for item in found.skipped] == ["another-set-of-seeds", "third-copy"]
+    names = [result.folder.name for result in found.results]
+    assert names == ["a", "b", "nudged", "third", "third-alike"]
+    assert [item.folder.name for item in found.skipped] == ["another-set-of-seeds"]
     assert found.skipped[0].reason.endswith("a: each run counts only once in a table row")
 
 
@@ -235,7 +236,8 @@ def test_copies_with_other_seeds_are_one_run(write_entry: WriteEntry, tmp_path: 
     telling = {"MakeLine-Demo": [i / 50 for i in range(50)]}
     perfect = {"MoveToRegion-Demo": [1.0] * 45 + [0.5] * 5}
     for seed in range(3):
-        write_entry(f"copy{seed}", "bc", telling, seed=seed)
+        details = {"date": f"205{3 - seed}-01-01"}
+        write_entry(f"copy{seed}", "bc", telling, seed=seed, details=details)
         write_entry(f"perfect{seed}", "bc", perfect, seed=seed)
     found = find_results([tmp_path])
     names = ["copy0", "perfect0", "perfect1", "perfect2"]

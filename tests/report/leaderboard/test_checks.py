@@ -109,6 +109,10 @@ def test_runs_of_a_method_agree() -> None:
     for other, words in (
         (entry(0.2, observation="LoRes4A"), "LoRes4A, but 0 of the same method has LoRes4E"),
         (entry(0.2, privileged=True), "privileged: True"),
+        (
+            entry(0.2, details={**entry().details, "action_space": "continuous"}),
+            "action space: continuous",
+        ),
         (entry(0.2, details={"learned_from": []}), "learned from: nothing"),
     ):
         ((folder, reason),) = check(first, other)
@@ -118,12 +122,15 @@ def test_runs_of_a_method_agree() -> None:
 
 
 def test_a_run_counts_once() -> None:
-    ((folder, reason),) = check(entry(), entry())
+    telling = [row._replace(score=row.rollout / ROLLOUTS) for row in entry().scores]
+    first = entry(scores=telling)
+    ((folder, reason),) = check(first, first)
     assert folder == "1"
     assert reason.startswith("the same run as 0")
-    backwards = replace(entry(), scores=list(reversed(entry().scores)))
-    assert [folder for folder, _ in check(entry(), backwards)] == ["1"]
-    assert check(entry(), entry(method="another")) == []
+    backwards = replace(first, scores=list(reversed(telling)))
+    assert [folder for folder, _ in check(first, backwards)] == ["1"]
+    assert check(first, replace(first, method="another")) == []
+    assert check(entry(), entry()) == []  # runs that score alike nearly everywhere
 
 
 def test_a_training_seed_counts_once() -> None:

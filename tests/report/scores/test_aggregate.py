@@ -54,7 +54,7 @@ def test_one_run_each_is_compared_over_rollouts() -> None:
 
 
 def test_several_runs_each_are_compared_over_runs() -> None:
-    runs = [entry("a", line=[0.2, 0.4]), entry("a", line=[0.4]), entry("a", line=[0.5, 0.5])]
+    runs = [entry("a", line=[*pair]) for pair in ((0.2, 0.4), (0.4, 0.4), (0.5, 0.5))]
     others = [entry("b", line=[score]) for score in (0.4, 0.5, 0.6)]
     rows, grid = compared([*runs, *others])
     half = T2 * 0.1 / math.sqrt(3)

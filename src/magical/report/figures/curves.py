@@ -47,14 +47,14 @@ def curves_by_task(
     Returns:
         The figures as SVG by task, and the errors of damaged metrics by folder.
     """
-    methods = list(dict.fromkeys(result.entry.row for result in results))
+    methods = list(dict.fromkeys(result.entry.method for result in results))
     runs = {result.run: result for result in results if result.run is not None}
     groups: dict[str, list[tuple[str, MetricRows]]] = {}
     damaged = {}
     for folder, result in runs.items():
         try:
             if rows := read_metrics(folder):
-                groups.setdefault(_trained_on(result), []).append((result.entry.row, rows))
+                groups.setdefault(_trained_on(result), []).append((result.entry.method, rows))
         except RunFolderError as error:
             damaged[folder] = str(error)
     figures: dict[str, list[str]] = {}

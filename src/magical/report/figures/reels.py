@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 from magical.errors import MagicalError
 from magical.evaluation import Entry, Policy, RolloutScore, by_variant
 from magical.report.figures.clips import Clip, data_uri, encoded, record_rollouts
+from magical.report.found.rows import by_row
 from magical.report.found.search import Result
 from magical.tasks import get_task
 from magical.tasks.axes import short_variant
@@ -54,8 +56,8 @@ def record_reels(
     """
     reels, notes, room = [], [], MAX_BYTES
     chosen = _median_runs(results)
-    for task, result in chosen[:limit]:
-        title = f"{result.entry.row} on {task}"
+    for row, task, result in chosen[:limit]:
+        title = f"{row} on {task}"
         try:
             reel = _record(load_policy(result), result, task, title)
         except (MagicalError, OSError) as error:
@@ -68,7 +70,7 @@ def record_reels(
         room -= size
         reels.append(reel)
     if chosen[limit:]:
-        names = ", ".join(f"{result.entry.row} on {task}" for task, result in chosen[limit:])
+        names = ", ".join(f"{row} on {task}" for row, task, _ in chosen[limit:])
         notes.append(f"Not shown (--clips {limit} sets the limit): {names}")
     return reels, notes
 
@@ -87,15 +89,18 @@ def extremes(scores: Sequence[RolloutScore]) -> list[tuple[str, RolloutScore]]:
     return [pair for i, pair in enumerate(named) if pair[1] not in [row for _, row in named[:i]]]
 
 
-def _median_runs(results: Sequence[Result]) -> list[tuple[str, Result]]:
-    """(task, run): for each method and task, the run with the median mean score."""
+def _median_runs(results: Sequence[Result]) -> list[tuple[str, str, Result]]:
+    """(row, task, run): for each row and task, the run with the median mean score."""
     groups: dict[tuple[str, str], list[tuple[float, int]]] = {}
-    for number, result in enumerate(results):
+    ordered = [
+        (label, r) for label, row in by_row(results, attrgetter("entry")).items() for r in row
+    ]
+    for number, (label, result) in enumerate(ordered):
         for task, cells in by_variant(result.entry.scores).items():
             mean = float(np.mean([row.score for cell in cells.values() for row in cell]))
-            groups.setdefault((task, result.entry.row), []).append((mean, number))
+            groups.setdefault((label, task), []).append((mean, number))
     return [
-        (task, results[sorted(runs)[(len(runs) - 1) // 2][1]]) for (task, _), runs in groups.items()
+        (*key, ordered[sorted(runs)[(len(runs) - 1) // 2][1]][1]) for key, runs in groups.items()
     ]
 
 

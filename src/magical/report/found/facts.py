@@ -9,7 +9,7 @@ from typing import Any
 from urllib.parse import quote
 
 from magical.evaluation.entry import ENTRY_FILE, SCORES_FILE
-from magical.grouping import group_by
+from magical.report.found.rows import by_row
 from magical.report.found.search import Result
 from magical.runs.folder import CONFIG, CURVES, METRICS, RECORD
 
@@ -40,8 +40,14 @@ class MethodFacts:
 
 def describe_methods(results: Iterable[Result], page: Path | None = None) -> list[MethodFacts]:
     """How each method's runs were made; if the page's path is given, with links to their files."""
-    groups = group_by(results, attrgetter("entry.row"))
-    return [_describe(method, runs, page) for method, runs in groups.items()]
+    return describe_rows(by_row(results, attrgetter("entry")), page)
+
+
+def describe_rows(
+    rows: Mapping[str, Sequence[Result]], page: Path | None = None
+) -> list[MethodFacts]:
+    """As `describe_methods`, for rows given by their labels."""
+    return [_describe(label, runs, page) for label, runs in rows.items()]
 
 
 def _describe(method: str, results: Sequence[Result], page: Path | None) -> MethodFacts:

@@ -1,8 +1,10 @@
 """Which scores are missing: method x task x variant x seed."""
 
 from collections.abc import Iterator, Sequence
+from operator import attrgetter
 
 from magical.evaluation import by_variant
+from magical.report.found.rows import by_row
 from magical.report.found.search import Found, Result
 from magical.tasks import get_task
 from magical.tasks.axes import short_variant
@@ -31,15 +33,17 @@ def find_missing(found: Found) -> list[Missing]:
 
 
 def _unplanned(results: Sequence[Result]) -> Iterator[Missing]:
-    methods = list(dict.fromkeys(result.entry.row for result in results))
+    rows = by_row(results, attrgetter("entry"))
     for task in dict.fromkeys(task for result in results for task in result.tasks):
         on_task = [result for result in results if task in result.tasks]
-        groups = {name: [run for run in on_task if run.entry.row == name] for name in methods}
+        groups = {name: [run for run in row if task in run.tasks] for name, row in rows.items()}
         most = max(map(len, groups.values()))
         seeds = {run.seed for run in on_task}
+        methods = {run.entry.method for run in on_task}
         for name, group in groups.items():
             if not group:
-                yield name, task, "no run"
+                if rows[name][0].entry.method not in methods:  # in any of the method's rows
+                    yield name, task, "no run"
             elif len(group) < most:
                 absent = _absent(seeds, {run.seed for run in group})
                 yield name, task, f"{len(group)} of {most} runs{absent}"
@@ -54,11 +58,12 @@ def _absent(seeds: set[int | None], present: set[int | None]) -> str:
 def _variants(results: Sequence[Result]) -> Iterator[Missing]:
     """The variants on which runs were not evaluated; runs that lack the same ones are grouped."""
     groups: dict[tuple[str, str, str], list[Result]] = {}
-    for result in results:
+    rows = by_row(results, attrgetter("entry"))
+    for label, result in ((label, result) for label, row in rows.items() for result in row):
         for task, cells in by_variant(result.entry.scores).items():
             names = map(short_variant, get_task(task).variants)
             if absent := ", ".join(name for name in names if name not in cells):
-                groups.setdefault((result.entry.row, task, absent), []).append(result)
+                groups.setdefault((label, task, absent), []).append(result)
     for (method, task, absent), runs in groups.items():
         yield method, task, f"{_named(runs)}: not evaluated on {absent}"
 

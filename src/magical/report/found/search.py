@@ -5,15 +5,25 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from datetime import datetime
 from functools import cache, cached_property
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
 from magical.envs import EnvId
 from magical.errors import ResultsError, RunFolderError, ScoresError
-from magical.evaluation import Entry, RolloutScore, by_variant, policy_names, read_entry
-from magical.evaluation.collection import is_collection, read_collection
-from magical.evaluation.entry import ENTRY_FILE, POLICY, SCORES_FILE
+from magical.evaluation import BUILT_IN, Entry, RolloutScore, by_variant, policy_names, read_entry
+from magical.evaluation.collection import ENTRIES_FILE, is_collection, read_collection
+from magical.evaluation.entry import (
+    DATE,
+    ENTRY_FILE,
+    POLICY,
+    SCORES_FILE,
+    TRAINING,
+    TRAINING_SEED,
+)
+from magical.report.found.rows import by_row
 from magical.runs import is_run, read_json
 from magical.runs.folder import CONFIG, RECORD
 from magical.runs.plan import PLAN, REFERENCES, RESULT, RUNS, ListedRun, Listing, read_listing
@@ -53,7 +63,7 @@ class Result:
     @property
     def seed(self) -> int | None:
         """The training seed; `None` if unknown."""
-        seed = self.config.get("seed", self.entry.details.get("training_seed"))
+        seed = self.config.get("seed", self.entry.details.get(TRAINING_SEED))
         return seed if isinstance(seed, int) else None
 
 
@@ -85,8 +95,8 @@ def same_run(result: Result, others: Iterable[Result]) -> Result | None:
     """The first of the other results that evaluates the same training run of a method, if any.
 
     If all rollouts that two results share have equal scores, and these scores vary enough, they
-    are of one run, whatever the seeds. Otherwise the training seeds and configurations decide, as
-    far as they are known; if a seed is unknown, equal scores do.
+    are of one run, whatever the seeds. Otherwise what is known of the training decides: runs that
+    fail alike are not one run.
     """
     own = {(row.env_id, row.rollout): row for row in result.entry.scores}
     for other in others:
@@ -94,13 +104,37 @@ def same_run(result: Result, others: Iterable[Result]) -> Result | None:
         if result.entry.method != other.entry.method or not shared:
             continue
         equal = _equal_scores(own, other.entry.scores)
-        unknown = result.seed is None or other.seed is None
-        if equal and (unknown or _is_telling(equal)):
-            return other
-        differ = result.config and other.config and result.config != other.config
-        if not unknown and result.seed == other.seed and not differ:
+        if (equal and _is_telling(equal)) or _same_training(result, other):
             return other
     return None
+
+
+def _same_training(result: Result, other: Result) -> bool:
+    """Whether two results of a method are of one run, judging by all but their scores.
+
+    They are if they are of the same run folder, or have the same training seed. Settings,
+    demonstrations or policies that differ contradict that; what only one of them states does not.
+    """
+    if result.folder == other.folder:  # in a collection, and beside it
+        return True
+    seeds = result.seed, other.seed
+    if None not in seeds and seeds[0] != seeds[1]:
+        return False
+    run = _policy_folder(result)
+    if is_run(run) and run == _policy_folder(other):
+        return True
+    details = result.entry.details, other.entry.details
+    stated = [(details[0].get(name), details[1].get(name)) for name in TRAINING]
+    stated += [(result.config, other.config), (_named_policy(result), _named_policy(other))]
+    if any(one and two and one != two for one, two in stated):
+        return False
+    return None not in seeds or _named_policy(result) == _named_policy(other) in BUILT_IN
+
+
+def _named_policy(result: Result) -> str:
+    """The policy that an entry states, if it is not a run folder, whose path says nothing."""
+    is_folder = "algorithm" in result.entry.details or is_run(_policy_folder(result))
+    return "" if is_folder else str(result.entry.details.get(POLICY, ""))
 
 
 def _equal_scores(
@@ -128,7 +162,8 @@ def _is_telling(scores: Iterable[RolloutScore]) -> bool:
 def find_results(folders: Iterable[Path | str]) -> Found:
     """As `search_results`, but with at least one entry, and each training run once per table row.
 
-    Of several evaluations of a run, the one with the most scores counts.
+    Of several evaluations of a run in the same way (`by_row`), the one with the most scores counts,
+    and of these the newest.
 
     Raises:
         ScoresError: no entry can be read; the message says why the first one cannot.
@@ -137,18 +172,28 @@ def find_results(folders: Iterable[Path | str]) -> Found:
     if not found.results:
         reasons = [item.reason for item in found.skipped]
         raise ScoresError(reasons[0] if reasons else "expected folders, found none")
-    rows: dict[str, list[Result]] = {}
     skipped = list(found.skipped)
-    for result in sorted(found.results, key=lambda result: -len(result.entry.scores)):
-        row = rows.setdefault(result.entry.row, [])
-        if other := same_run(result, row):
-            reason = f"the same run as {other.folder}: each run counts only once in a table row"
-            skipped.append(Skipped(result.folder, reason))
-        else:
-            row.append(result)
-    counted = {id(result) for row in rows.values() for result in row}
+    counted: set[int] = set()
+    for row in by_row(found.results, attrgetter("entry")).values():
+        kept: list[Result] = []
+        for result in sorted(row, key=lambda r: (len(r.entry.scores), _time(r)), reverse=True):
+            if other := same_run(result, kept):
+                reason = f"the same run as {other.folder}: each run counts only once in a table row"
+                skipped.append(Skipped(result.folder, reason))
+            else:
+                kept.append(result)
+        counted |= set(map(id, kept))
     results = [result for result in found.results if id(result) in counted]
     return replace(found, results=results, skipped=skipped)
+
+
+def _time(result: Result) -> float:
+    """When a result was evaluated: its entry's date, or when the file was written; a POSIX time."""
+    with suppress(ValueError, OverflowError, OSError):
+        return datetime.fromisoformat(str(result.entry.details.get(DATE))).timestamp()
+    folders = (result.folder, *result.folder.parents)  # an entry of a collection has no folder
+    files = (folder / name for folder in folders for name in (ENTRY_FILE, ENTRIES_FILE))
+    return next((file.stat().st_mtime for file in files if file.is_file()), 0.0)
 
 
 def search_results(folders: Iterable[Path | str], without: Path | None = None) -> Found:

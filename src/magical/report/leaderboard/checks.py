@@ -146,6 +146,7 @@ def mismatch(entry: Entry, other: Result) -> str:
     for what, value, expected in (
         ("observation", entry.observation, other.entry.observation),
         ("privileged", entry.privileged, other.entry.privileged),
+        ("action space", entry.evaluated.action_space, other.entry.evaluated.action_space),
         ("learned from", _sources(entry), _sources(other.entry)),
     ):
         if value != expected:

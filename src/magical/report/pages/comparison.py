@@ -11,10 +11,11 @@ from magical.evaluation.intervals import Interval
 from magical.evaluation.statistics import interquartile_mean, probability_of_improvement
 from magical.grouping import group_by
 from magical.report.figures.plots import interval_plot, profile_plot
-from magical.report.found.facts import MethodFacts, describe_methods
+from magical.report.found.facts import MethodFacts, describe_rows
+from magical.report.found.rows import by_row
 from magical.report.found.search import Result
 from magical.report.pages.page import Figure, render_template, write_text
-from magical.report.scores.methods import ComparedMethod, compared_methods
+from magical.report.scores.methods import ComparedMethod, compared_rows
 from magical.report.scores.summaries import (
     AXES,
     NOTE,
@@ -62,14 +63,14 @@ def compare(results: Sequence[Result], first: str, second: str) -> ComparisonPag
     """
     if first == second:
         raise UnknownNameError(f"--compare: expected two different methods, found {first!r} twice")
-    chosen = [_of_method(results, name) for name in (first, second)]
-    methods = compared_methods(result.entry for runs in chosen for result in runs)
+    chosen = {name: _of_method(results, name) for name in (first, second)}
+    methods = compared_rows({name: [run.entry for run in runs] for name, runs in chosen.items()})
     if len(methods) < 2:
         raise UnknownNameError(
             f"--compare: expected two methods with an environment in common, found none for "
             f"{first!r} and {second!r}"
         )
-    described = describe_methods([result for runs in chosen for result in runs])
+    described = describe_rows(chosen)
     tables = [_summary(*methods), gap_table(methods), _environments(*methods), _settings(described)]
     return ComparisonPage(
         _headline(*methods),
@@ -81,11 +82,11 @@ def compare(results: Sequence[Result], first: str, second: str) -> ComparisonPag
 
 
 def _of_method(results: Sequence[Result], name: str) -> list[Result]:
-    found = [result for result in results if result.entry.row == name]
-    if not found:
-        known = ", ".join(dict.fromkeys(result.entry.row for result in results))
+    rows = by_row(results, attrgetter("entry"))
+    if name not in rows:
+        known = ", ".join(rows)
         raise UnknownNameError(f"--compare: method {name!r} is unknown; expected one of: {known}")
-    return found
+    return rows[name]
 
 
 def _headline(first: ComparedMethod, second: ComparedMethod) -> str:

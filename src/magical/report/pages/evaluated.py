@@ -99,7 +99,7 @@ def _rollouts(entries: Sequence[Entry]) -> str:
 
 
 def _subtitle(found: Found, skipped: int) -> str:
-    methods = len({entry.row for entry in found.entries})
+    methods = len({entry.method for entry in found.entries})
     runs = len(found.results)
     parts = [
         f"{runs} evaluated run{'s' if runs != 1 else ''} of {methods} "

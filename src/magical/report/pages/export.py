@@ -5,24 +5,24 @@ import io
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from magical.envs import EnvId
 from magical.errors import UnknownNameError
 from magical.evaluation import Entry, by_variant, published_score, published_tasks
 from magical.evaluation.intervals import rollout_mean
 from magical.evaluation.statistics import mean, over_runs
-from magical.grouping import group_by
 from magical.report.found.search import Found
 from magical.report.pages.page import write_text
 from magical.report.scores.differences import RULE, counterparts, differences
 from magical.report.scores.methods import compared_methods
 from magical.report.scores.summaries import aggregate_table, gap_table, improvement_table
-from magical.report.scores.tables import TextTable, entry_tasks, report_tables
+from magical.report.scores.tables import TextTable, entry_tasks, report_tables, rows_on
 from magical.tasks import get_task
+from magical.tasks.axes import full_variant
 
 DIGITS = 6  # significant, in CSV
 Write = Callable[[Found, Sequence[str], Path], None]
@@ -54,7 +54,7 @@ def plain_rows(found: Found, published: Sequence[str]) -> list[dict[str, Any]]:
     """A row for each method and environment, as plain data; `None` for missing values.
 
     `score` and its interval follow the appendix's rule, `published_code_score` and the difference
-    follow the published code's.
+    follow the published code's. The last columns say how the environment was evaluated.
     """
     return [row for task in entry_tasks(found.entries) for row in _rows(task, found, published)]
 
@@ -142,13 +142,13 @@ def _escape_markdown(text: str) -> str:
 
 def _rows(task: str, found: Found, published: Sequence[str]) -> Iterator[dict[str, Any]]:
     """A row for each method and variant of a task, by column name."""
-    with_task = (entry for entry in found.entries if task in by_variant(entry.scores))
     rows = counterparts(found.entries, published if task in published_tasks() else ())
-    for method, runs in group_by(with_task, attrgetter("row")).items():
-        theirs = rows.get(runs[0].method)
+    for method, runs in rows_on(task, found.entries).items():
         for variant in dict.fromkeys(v for run in runs for v in by_variant(run.scores)[task]):
-            figures = _figures(task, variant, runs, theirs)
-            yield {"task": task, "variant": variant, "method": method, **figures}
+            figures = _figures(task, variant, runs, rows.get(runs[0].method))
+            # The same for all runs of a row.
+            settings = runs[0].evaluated.on(EnvId(task, full_variant(variant))).settings
+            yield {"task": task, "variant": variant, "method": method, **figures, **settings}
 
 
 def _figures(task: str, variant: str, runs: Sequence[Entry], theirs: str | None) -> dict[str, Any]:

@@ -1,9 +1,8 @@
 """The entries' methods, on the environments that they have in common."""
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from operator import attrgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +19,7 @@ from magical.evaluation.statistics import (
     over_rollouts,
     run_means,
 )
-from magical.grouping import group_by
+from magical.report.found.rows import by_row
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,13 +87,18 @@ class ComparedMethod:
 def compared_methods(entries: Iterable[Entry]) -> list[ComparedMethod]:
     """Every method on the environments that all of them have; empty if there are none.
 
-    Entries with the same `row` are runs of one method, each on all of its tasks or on some. A
-    method has an environment if all its runs on that task do.
+    Methods are the rows of `by_row`: evaluations that differ are compared like methods. A row's
+    runs are each on all of its tasks or on some; it has an environment if all its runs on that
+    task do, so a mean over environments is over the same ones for all runs of a task.
     """
-    groups = group_by(entries, attrgetter("row"))
-    found = [_environments(runs) for runs in groups.values()]
+    return compared_rows(by_row(entries, lambda entry: entry))
+
+
+def compared_rows(rows: Mapping[str, Sequence[Entry]]) -> list[ComparedMethod]:
+    """As `compared_methods`, for rows given by their labels."""
+    found = [_environments(runs) for runs in rows.values()]
     shared = [env_id for env_id in (found[0] if found else []) if all(env_id in i for i in found)]
-    return [_method(name, group, shared) for name, group in groups.items()] if shared else []
+    return [_method(name, group, shared) for name, group in rows.items()] if shared else []
 
 
 def _method(name: str, group: Sequence[Entry], env_ids: Sequence[EnvId]) -> ComparedMethod:

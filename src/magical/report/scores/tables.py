@@ -3,7 +3,6 @@
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from operator import attrgetter
 
 import numpy as np
 
@@ -11,8 +10,14 @@ from magical.evaluation import Entry, by_variant, published_score, published_tas
 from magical.evaluation.intervals import Interval, rollout_mean
 from magical.evaluation.published import PUBLISHED_RUNS
 from magical.evaluation.statistics import over_runs
-from magical.grouping import group_by
-from magical.report.scores.differences import RULE, counterparts, differences, horizon_of
+from magical.report.found.rows import by_row
+from magical.report.scores.differences import (
+    RULE,
+    counterparts,
+    differences,
+    horizon_of,
+    is_comparable,
+)
 from magical.tasks import Task, get_task
 from magical.tasks.axes import SHORT_VARIANTS, short_variant
 
@@ -101,19 +106,20 @@ class ScoreTable:
 def task_table(task: str, entries: Iterable[Entry], published: Iterable[str] = ()) -> ScoreTable:
     """A row for each method among the entries, then the published rows of the named methods.
 
-    Entries with the same `row` are runs of one method. With published rows, all scores follow the
-    published code's rule. If an entry's horizon differs from the published code's, the published
-    rows are left out, and the note says so. Methods and published tables without the task are left
-    out.
+    A method whose evaluations differ has several rows (`by_row`). With published rows, all scores
+    follow the published code's rule, and only rows with the published code's horizon are shown. If
+    a method has no such row, the published rows are left out, and the note says so. Methods and
+    published tables without the task are left out.
     """
     found, entries = get_task(task), list(entries)
-    with_task = [entry for entry in entries if task in by_variant(entry.scores)]
-    runs = group_by(with_task, attrgetter("row"))
+    runs = {label: group for label, group in rows_on(task, entries).items() if group}
     methods = tuple(published) if task in published_tasks() else ()
     theirs = counterparts(entries, methods)
     published_rows = [_published_row(task, method) for method in methods]
-    other = _other_horizons(found, with_task)
+    other = _other_horizons(found, runs)
     compared = bool(methods) and not other
+    if compared:
+        runs = {label: group for label, group in runs.items() if is_comparable(found, group[0])}
     rule = RULE if compared else "score"
     rows = [_method_row(found, row, group, rule) for row, group in runs.items()]
     if compared:
@@ -130,6 +136,15 @@ def task_table(task: str, entries: Iterable[Entry], published: Iterable[str] = (
     return ScoreTable(task, variants, kept, note, compared)
 
 
+def rows_on(task: str, entries: Iterable[Entry]) -> dict[str, list[Entry]]:
+    """The entries of each row that have a task, by the labels of `by_row`."""
+    rows = by_row(entries, lambda entry: entry)
+    return {
+        label: [entry for entry in row if task in by_variant(entry.scores)]
+        for label, row in rows.items()
+    }
+
+
 def entry_tasks(entries: Iterable[Entry]) -> tuple[str, ...]:
     """The tasks on which any entry has scores, in order of first appearance."""
     return tuple(dict.fromkeys(task for entry in entries for task in by_variant(entry.scores)))
@@ -142,8 +157,10 @@ def report_tables(entries: Sequence[Entry], published: Sequence[str] = ()) -> li
     """
     tables = []
     for name in entry_tasks(entries):
-        beside = task_table(name, entries, published)
-        if beside.published and _rules_differ(get_task(name)):
+        beside, task = task_table(name, entries, published), get_task(name)
+        with_task = (entry for entry in entries if name in by_variant(entry.scores))
+        all_shown = all(is_comparable(task, entry) for entry in with_task)
+        if beside.published and (_rules_differ(task) or not all_shown):
             tables.append(task_table(name, entries))
         tables.append(beside)
     return tables
@@ -228,10 +245,12 @@ def _horizon_note(task: Task, runs: Mapping[str, Sequence[Entry]]) -> str:
     )
 
 
-def _other_horizons(task: Task, entries: Sequence[Entry]) -> list[str]:
-    """The horizons of the task's entries that are not the published code's, in control steps."""
-    found = {horizon_of(task, entry) for entry in entries}
-    return list(map(str, sorted(found - {task.resolve_horizon("published")})))
+def _other_horizons(task: Task, runs: Mapping[str, Sequence[Entry]]) -> list[str]:
+    """The horizons, in control steps, of methods that have no row with the published code's."""
+    first = [group[0] for group in runs.values()]  # all runs of a row have the same horizon
+    compared = {entry.method for entry in first if is_comparable(task, entry)}
+    found = {horizon_of(task, entry) for entry in first if entry.method not in compared}
+    return list(map(str, sorted(found)))
 
 
 def _left_out_note(task: Task, other: Sequence[str]) -> str:
