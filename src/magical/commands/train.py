@@ -7,6 +7,7 @@ metrics, two checkpoints.
 import argparse
 import shlex
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from magical.commands._common import (
@@ -90,6 +91,7 @@ def run(args: argparse.Namespace) -> int:
 def _imports(config: "Config") -> str:
     """`--import` for each module that the configuration names, which new processes need."""
     from magical.envs.vector.workers import defining_modules
+    from magical.errors import InvalidTaskError
     from magical.learning.config import options
     from magical.learning.networks import TIMM
     from magical.tasks import get_task
@@ -97,12 +99,9 @@ def _imports(config: "Config") -> str:
     plain = config.to_dict()
     named = [plain["algorithm"], *(plain[o.name] for o in options(type(config)) if o.open)]
     texts = (n for n in named if isinstance(n, str) and not n.startswith(TIMM))
-    modules = dict.fromkeys(
-        (
-            *defining_modules([get_task(name) for name in config.tasks]),
-            *(name.rpartition(":")[0] for name in texts),
-        )
-    )
+    modules = dict.fromkeys(name.rpartition(":")[0] for name in texts)
+    with suppress(InvalidTaskError):  # no module can be named, but the run has been trained
+        modules |= dict.fromkeys(defining_modules([get_task(name) for name in config.tasks]))
     return "".join(f" --import {shlex.quote(module)}" for module in modules if module)
 
 
@@ -117,9 +116,8 @@ class _ParseOptions(argparse.Action):
         option_string: str | None = None,
     ) -> None:
         """See `argparse.Action`."""
-        options = argparse.ArgumentParser(
+        options = type(parser)(
             prog=f"{parser.prog} {namespace.algorithm}",
-            allow_abbrev=False,
             argument_default=argparse.SUPPRESS,  # the preset's value is used
         )
         _add_options(options, namespace.algorithm)
