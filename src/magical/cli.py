@@ -142,7 +142,7 @@ def find_commands() -> Iterator[tuple[str, ModuleType]]:
             yield name, importlib.import_module(f"{commands.__name__}.{name}")
 
 
-def _show_warning(message: Warning | str, *_: object) -> None:
+def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
     """Print a warning in one line, without the place in the code that it comes from."""
     print(f"warning: {' '.join(str(message).split())}", file=sys.stderr)
 
