@@ -24,7 +24,7 @@ setup: $(READY) ## the virtual environment in .venv, pinned versions, editable
 
 $(READY): pyproject.toml constraints.txt
 	@test -n "$(PYTHON)" || { echo "error: no Python 3.11 or newer found; set PYTHON=" >&2; exit 1; }
-	@echo "setting up $(VENV) with $(PYTHON)"
+	@echo "setting up $(VENV) with $(PYTHON): minutes, and gigabytes with a CUDA build of PyTorch"
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	@$(BIN)/python tools/install.py $(EXTRAS)
 	@touch $@

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import sys
 import threading
 from collections.abc import Generator
 from pathlib import Path
@@ -63,6 +64,13 @@ def _outside(fixture: str) -> Path:
     if not folder.is_dir():
         pytest.skip(f"needs the human demonstrations, not part of the repository: no {folder}")
     return folder
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Skip tests that are marked for another system."""
+    for mark, here in (("posix", os.name == "posix"), ("linux", sys.platform == "linux")):
+        if item.get_closest_marker(mark) and not here:
+            pytest.skip(f"marked {mark}: needs what this system has not (pyproject.toml)")
 
 
 @pytest.hookimpl(wrapper=True)

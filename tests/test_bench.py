@@ -53,7 +53,7 @@ def script(root: Path, name: str, *arguments: str) -> str:
     return str(done.stdout)
 
 
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
+@pytest.mark.linux
 def test_soak_reports_what_it_watched(root: Path) -> None:
     output = script(
         root, "soak.py", "--steps", "12000", "--workers", "1", "--observation", "LoRes4A"

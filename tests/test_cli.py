@@ -80,7 +80,6 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize(
     "argv",
     [
-        [],
         ["fly"],
         ["envs", "--fast"],
         ["--impor", "json", "envs"],
@@ -102,7 +101,25 @@ def test_wrong_usage_exits_2(argv: list[str], capsys: pytest.CaptureFixture[str]
     assert cli.main(argv) == 2
     captured = capsys.readouterr()
     assert captured.out == ""
-    assert "error: " in captured.err
+    assert captured.err.startswith("error: ")
+
+
+@pytest.mark.parametrize("words", ["evaluate noop --rollouts 0", "demos", "--import", "no"])
+def test_wrong_arguments_take_one_line_that_names_the_help(
+    words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(words.split()) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    command = re.fullmatch(r"error: .*; see (magical( \w+)*) --help", line)
+    assert command is not None
+    assert cli.main([*command[1].split()[1:], "--help"]) == 0
+
+
+def test_the_command_alone_prints_its_help(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["--help"]) == 0
+    described = capsys.readouterr()
+    assert cli.main([]) == 0
+    assert capsys.readouterr() == described
 
 
 @pytest.mark.parametrize(

@@ -209,3 +209,10 @@ def test_the_steps_of_workflows_are_targets_of_make() -> None:
     assert len(steps) >= len(files)
     assert {step.split()[0] for step in steps} == {"make"}
     assert {step.split()[1] for step in steps} <= set(targets)
+
+
+def test_workflows_end_in_time_and_newer_ones_replace_them() -> None:
+    for file in (ROOT / ".github" / "workflows").glob("*.yml"):
+        text = file.read_text()
+        assert text.count("timeout-minutes: ") == text.count("runs-on: ") > 0, file
+        assert "  cancel-in-progress: true\n" in text, file

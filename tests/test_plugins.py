@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -14,9 +15,11 @@ from pathlib import Path
 import pytest
 
 from magical import plugins
+from magical.cli import main
 from magical.commands._common import task_name
 from magical.envs import parse_env_id
 from magical.envs.vector import MagicalVectorEnv
+from magical.envs.vector.workers import defining_modules
 from magical.errors import MissingDependencyError, PluginError, UnknownNameError
 from magical.evaluation.loading import LOADERS, load_policy
 from magical.observe import make_spec
@@ -160,11 +163,57 @@ def test_a_task_by_module_and_name(path: Path) -> None:
         task_name("driving_task:NO")
 
 
+@pytest.mark.parametrize("command", ["envs", "evaluate noop --rollouts 1 --workers 0 --out noop"])
+def test_all_tasks_are_those_that_can_be_imported(path: Path, command: str) -> None:
+    (path / "raising_task.py").write_text("raise ImportError('no licence,\\nno task')")
+    (path / "driving_task.py").write_text(TASK)
+    entries = ("Broken = raising_task:TASK", "DriveThere = driving_task:TASK")
+    install(path, "other", *entries, group="magical.tasks")
+    done = subprocess.run(
+        [sys.executable, "-m", "magical", *command.split(), "--json"],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(map(str, sys.path))},
+        cwd=path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert {"MakeLine", "DriveThere"} <= set(re.findall(r"\w+", done.stdout))
+    assert "Broken" not in done.stdout
+    assert [line for line in done.stderr.splitlines() if "Broken" in line] == [
+        "warning: magical.tasks: 'Broken' of other cannot be imported from raising_task:TASK: "
+        "ImportError: no licence, no task"
+    ]
+
+
 def test_a_task_of_another_name_than_its_entry_points(path: Path) -> None:
     install(path, "other", "Misnamed = magical.tasks.make_line:TASK", group="magical.tasks")
     assert list(TASKS)[-1] == "Misnamed"
     with pytest.raises(PluginError, match="expected the task 'Misnamed', found 'MakeLine'"):
         get_task("Misnamed")
+
+
+REGISTERING = """
+from dataclasses import replace
+from magical.tasks import get_task, register_task
+for name in ("DriveThere", "DriveBack"):
+    register_task(replace(get_task("MoveToRegion"), name=name, section=""))
+"""
+
+
+def test_tasks_that_an_imported_file_registers_are_found_by_workers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.path", [*sys.path])
+    monkeypatch.chdir(tmp_path)
+    Path("registering_tasks.py").write_text(f"{REGISTERING}del name\n")
+    command = "evaluate noop --task DriveThere --variants Demo --rollouts 2 --workers 2"
+    try:
+        assert main(["--import", "registering_tasks.py", *command.split()]) == 0
+        assert defining_modules([get_task("DriveBack")]) == ["registering_tasks"]
+    finally:
+        unregister_task("DriveThere")
+        unregister_task("DriveBack")
 
 
 def test_a_task_within_a_class_is_found_by_workers(path: Path) -> None:

@@ -217,6 +217,7 @@ def test_lines(tmp_path: Path) -> None:
         list(read_json_lines(path, Row, PlanError))
 
 
+@pytest.mark.posix
 @pytest.mark.parametrize("read", [read_json, read_toml, read_json_lines])
 def test_missing_and_special_files_are_refused(tmp_path: Path, read: Any) -> None:
     os.mkfifo(tmp_path / "fifo")

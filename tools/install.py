@@ -13,7 +13,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 def main(extras: str) -> int:
-    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "install", "-qq"]
+    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "install"]
     pip += ["--constraint", str(ROOT / "constraints.txt")]
     backend = subprocess.run([*pip, "hatchling", "hatch-fancy-pypi-readme"], check=False)
     if backend.returncode:

@@ -13,6 +13,7 @@ import pkgutil
 import signal
 import sys
 import threading
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from types import ModuleType
@@ -23,8 +24,7 @@ from magical.commands._common import FAILED, INTERRUPTED, USAGE, UsageError
 from magical.errors import MagicalError, PlanError, UnknownNameError
 from magical.extras import missing
 from magical.messages import for_terminal
-from magical.plugins import import_user_module
-from magical.tasks.registry import register_tasks_of
+from magical.tasks.registry import import_tasks
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -32,8 +32,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     if isinstance(sys.stdout, io.TextIOWrapper):  # a file name may contain any bytes
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
-        arguments = build_parser().parse_args(_import_modules(argv))
-        with _termination_as_interrupt():
+        with _termination_as_interrupt(), warnings.catch_warnings():
+            warnings.showwarning = _show_warning
+            arguments = build_parser().parse_args(_import_modules(argv) or ["--help"])
             status = int(arguments.run(arguments))
         print(end="", flush=True)  # there may be no standard output to flush
     except SystemExit as stop:  # argparse: --help, --version, wrong usage
@@ -90,10 +91,17 @@ def build_parser() -> argparse.ArgumentParser:
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser that accepts no abbreviated options; its commands' parsers are of this class too."""
+    """A parser that accepts no abbreviated options, and reports an error in one line.
+
+    Its commands' parsers are of this class too.
+    """
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(allow_abbrev=False, **settings)
+
+    def error(self, message: str) -> NoReturn:
+        """See `argparse.ArgumentParser.error`."""
+        self.exit(USAGE, f"error: {message}; see {self.prog} --help\n")
 
 
 class _PublishedOption(argparse.Action):
@@ -108,11 +116,11 @@ def _import_modules(argv: Sequence[str] | None) -> list[str]:
 
     This comes first because a module may register tasks and algorithms that the others can name.
     """
-    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    parser = _Parser(prog="magical", add_help=False)
     _add_import(parser)
     found, rest = parser.parse_known_args(argv)
     for module in found.imports:
-        register_tasks_of(import_user_module(module))
+        import_tasks(module)
     return rest
 
 
@@ -133,6 +141,11 @@ def find_commands() -> Iterator[tuple[str, ModuleType]]:
     for name in sorted(entry.name for entry in pkgutil.iter_modules(commands.__path__)):
         if not name.startswith("_"):
             yield name, importlib.import_module(f"{commands.__name__}.{name}")
+
+
+def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
+    """Print a warning in one line, without the place in the code that it comes from."""
+    print(f"warning: {' '.join(str(message).split())}", file=sys.stderr)
 
 
 def _report(error: Exception | str, status: int) -> int:

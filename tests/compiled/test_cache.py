@@ -29,7 +29,6 @@ from magical.compiled.cache import (
 )
 from magical.compiled.jit import entry_point
 
-POSIX = pytest.mark.skipif(sys.platform == "win32", reason="owners and modes are POSIX's")
 FLIPS = 400  # of one bit each, at random places of the file
 STORE = (
     "import numpy as np\n"
@@ -108,7 +107,7 @@ SPOILT: dict[str, Callable[[Path, bytes], object]] = {
 }
 
 
-@POSIX
+@pytest.mark.posix
 @pytest.mark.parametrize("spoil", SPOILT.values(), ids=SPOILT)
 def test_a_spoilt_file_is_compiled_again(
     spoil: Callable[[Path, bytes], object], folder: Path
@@ -121,7 +120,7 @@ def test_a_spoilt_file_is_compiled_again(
     assert path.is_dir() or hits(folder) == 1
 
 
-@POSIX
+@pytest.mark.posix
 def test_a_folder_that_is_a_link_or_not_the_users_own_is_not_used(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

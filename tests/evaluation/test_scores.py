@@ -206,6 +206,7 @@ def test_a_damaged_entry_is_named(tmp_path: Path, text: str) -> None:
     assert str(caught.value).isprintable()
 
 
+@pytest.mark.posix
 @pytest.mark.parametrize("name", ["scores.csv", "entry.json"])
 def test_special_files_are_refused(tmp_path: Path, name: str) -> None:
     Entry(method="mine", scores=SCORES).write(tmp_path)

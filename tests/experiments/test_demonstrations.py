@@ -60,6 +60,7 @@ def test_generated_demonstrations_are_not_replaced(
         execute(runs, out.with_name("again"))
 
 
+@pytest.mark.posix
 def test_a_signal_ends_the_generation_of_demonstrations(
     planned: Planned, inline: Started, out: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -122,6 +122,7 @@ def test_a_failing_run_is_recorded_and_does_not_stop_the_others(
     assert [run.seed for run in inline] == [0]
 
 
+@pytest.mark.posix
 def test_an_interrupted_run_resumes_from_its_checkpoint(
     planned: Planned,
     inline: Started,

@@ -1,10 +1,11 @@
 """Plans in processes that are killed: nothing is done twice, and the scores stay the same."""
 
-import os
 import random
 import signal
 from collections.abc import Callable
 from pathlib import Path
+
+import pytest
 
 from magical.experiments.plan import PlannedRun
 from magical.experiments.status import read_status
@@ -29,7 +30,7 @@ def test_killed_three_times_the_scores_are_the_same_and_no_run_is_done_twice(
     for moment in moments:
         with running(tiny, out) as process:
             assert reached(out, moment)
-            os.kill(process.pid, signal.SIGKILL)
+            process.kill()
         now = records(out)
         assert before.items() <= now.items()
         before = now
@@ -40,6 +41,7 @@ def test_killed_three_times_the_scores_are_the_same_and_no_run_is_done_twice(
     assert scores_of(out) == scores_of(finished)
 
 
+@pytest.mark.posix
 def test_sigterm_leaves_a_checkpoint_and_exits_130(
     tiny: Path, planned: Callable[..., list[PlannedRun]], out: Path
 ) -> None:

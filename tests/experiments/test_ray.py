@@ -62,6 +62,7 @@ def test_a_cluster_that_cannot_be_reached_is_named(
     assert "ray start --head" in message
 
 
+@pytest.mark.posix
 def test_sigterm_leaves_checkpoints(
     tiny: Path, planned: Planned, out: Path, finished: Path
 ) -> None:

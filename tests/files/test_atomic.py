@@ -149,6 +149,7 @@ with write_atomically(sys.argv[1]) as file:
 """
 
 
+@pytest.mark.posix
 def test_what_a_killed_process_left_is_removed(tmp_path: Path) -> None:
     for name in ("a.json", "b.json"):
         subprocess.run([sys.executable, "-c", KILLED, str(tmp_path / name)])

@@ -2,7 +2,6 @@
 
 import errno
 import os
-import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -37,7 +36,7 @@ def test_a_killed_process_holds_no_lock(tmp_path: Path) -> None:
         with pytest.raises(LockedError) as refused, lock_now(tmp_path / "lock"):
             pass
         assert refused.value.process_id == process.pid
-        process.send_signal(signal.SIGKILL)
+        process.kill()
         process.wait()
         with lock_now(tmp_path / "lock"):
             assert (tmp_path / "lock").read_text() == str(os.getpid())
@@ -50,6 +49,7 @@ def test_a_lock_whose_holder_is_unknown_is_refused_too(tmp_path: Path) -> None:
         assert refused.value.process_id is None
 
 
+@pytest.mark.posix
 def test_a_file_system_without_locks_can_be_read_and_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -24,7 +24,10 @@ def special(folder: Path, name: str) -> Path:
     return path
 
 
-@pytest.mark.parametrize("name", ["FIFO", "folder", "dangling link", "/dev/zero", "/dev/null"])
+POSIX = [pytest.param(name, marks=pytest.mark.posix) for name in ("FIFO", "/dev/zero", "/dev/null")]
+
+
+@pytest.mark.parametrize("name", ["folder", "dangling link", *POSIX])
 def test_special_files_are_refused(tmp_path: Path, name: str) -> None:
     path = special(tmp_path, name)
     with pytest.raises(OSError, match="special"):

@@ -5,6 +5,7 @@ import re
 import shlex
 import subprocess
 import sys
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -18,7 +19,8 @@ from magical.evaluation import read_entry
 from magical.learning import algorithm_names
 from magical.report.found.search import find_results
 from magical.scene import Poses
-from magical.tasks import load_task, unregister_task
+from magical.tasks import get_task, register_task, unregister_task
+from magical.tasks.registry import import_tasks
 
 TINY = ["--preset", "quick", "--batches", "4", "--batch-size", "4", "--num-demos", "2"]
 
@@ -49,16 +51,29 @@ def test_train_stop_resume(demos: Path, tmp_path: Path, capsys: pytest.CaptureFi
     assert main(bc(demos, out, "--resume")) == 0
 
 
+@pytest.mark.parametrize(
+    ("module", "line"),
+    [("task_to_train", "TASK = {}"), ("task_to_register", "register_task({})"), ("", "")],
+    ids=["variable", "registered", "in no module"],
+)
 def test_the_next_command_imports_a_task_that_the_package_lacks(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    module: str,
+    line: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    (tmp_path / "task_to_train.py").write_text(
-        "from dataclasses import replace\n"
-        "from magical.tasks import get_task\n"
-        "TASK = replace(get_task('MoveToCorner'), name='MoveThere', section='')\n"
-    )
-    monkeypatch.syspath_prepend(tmp_path)
-    task = load_task("task_to_train:TASK")
+    if module:
+        made = line.format("replace(get_task('MoveToCorner'), name='MoveThere', section='')")
+        (tmp_path / f"{module}.py").write_text(
+            "from dataclasses import replace\n"
+            f"from magical.tasks import get_task, register_task\n{made}\n"
+        )
+        monkeypatch.syspath_prepend(tmp_path)
+        import_tasks(module)
+    else:
+        register_task(replace(get_task("MoveToCorner"), name="MoveThere", section=""))
+    task = get_task("MoveThere")
     try:
         env_id, actions = EnvId("MoveThere", "Demo"), np.ones(5, np.int64)
         poses = np.stack([Poses.at_rest(task.demo).bodies] * 6)
@@ -68,8 +83,9 @@ def test_the_next_command_imports_a_task_that_the_package_lacks(
         writer.append(shown)
         given = ["--task", "MoveThere", "--demos", str(writer.path), "--out", str(tmp_path / "run")]
         assert main(["train", "bc", *given, *TINY]) == 0
-        next_command = f"magical evaluate {tmp_path / 'run'} --import task_to_train"
-        assert next_command in capsys.readouterr().err
+        advice = capsys.readouterr().err.splitlines()[-1].partition("to evaluate: ")[2]
+        imports = f" --import {module}" if module else ""
+        assert advice == f"magical evaluate {tmp_path / 'run'}{imports}"
     finally:
         unregister_task("MoveThere")
 
@@ -153,6 +169,14 @@ def test_a_run_that_could_not_begin_leaves_no_folder(
 def test_wrong_arguments_have_status_2(wrong: list[str], demos: Path, tmp_path: Path) -> None:
     assert main(bc(demos, tmp_path / "run", *wrong)) == 2
     assert not (tmp_path / "run").exists()
+
+
+def test_a_wrong_setting_is_said_in_one_line(
+    demos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(bc(demos, tmp_path / "run", "--batches", "many")) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.endswith("'many'; see magical train bc --help")
 
 
 def test_what_is_required_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -104,10 +104,10 @@ def test_the_strongest_and_weakest_forces_and_the_furthest_poses_stay_finite() -
             assert np.isfinite(simulation.read()).all()
 
 
+@pytest.mark.linux
 def test_simulations_free_their_memory() -> None:
-    resource = pytest.importorskip(
-        "resource", reason="peak memory is read through the resource module"
-    )
+    import resource  # only there
+
     for _ in range(50):
         Simulation(SCENE).step(0)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss

@@ -12,7 +12,7 @@ import pytest
 
 from tests.waiting import alive, gone
 
-pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals and /proc")
+pytestmark = pytest.mark.linux
 PROGRAM = """
 import os, signal, sys
 from pathlib import Path

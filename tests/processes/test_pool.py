@@ -17,13 +17,14 @@ from magical.processes import ProcessPool, available_cores, map_in_processes, ou
 from tests.processes import work
 from tests.waiting import gone, soon
 
-pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals and /proc")
+pytestmark = pytest.mark.posix
 
 
 def descriptors() -> int:
     return len(list(Path("/proc/self/fd").iterdir()))
 
 
+@pytest.mark.linux
 @pytest.mark.parametrize("workers", [1, 3])
 def test_results_come_in_the_items_order(workers: int) -> None:
     before = descriptors(), active_count()
@@ -32,6 +33,7 @@ def test_results_come_in_the_items_order(workers: int) -> None:
     assert (descriptors(), active_count()) == before
 
 
+@pytest.mark.linux
 def test_one_worker_is_this_process_and_several_are_others() -> None:
     here = list(map_in_processes(partial(work.exit_at, -1), range(3), 1))
     there = list(map_in_processes(partial(work.exit_at, -1), range(6), 2))
@@ -57,6 +59,7 @@ def test_items_may_be_infinite_and_only_a_few_are_taken_ahead() -> None:
             assert taken <= i + 4
 
 
+@pytest.mark.linux
 def test_closing_kills_the_processes_in_the_middle_of_their_work(tmp_path: Path) -> None:
     before = descriptors(), active_count()
     results = map_in_processes(work.compute_for_ever, ["", *[str(tmp_path)] * 9], 2)
@@ -76,6 +79,7 @@ def test_a_dead_process_costs_one_item_and_is_replaced() -> None:
     assert items == [*range(5), *range(6, 30)]
 
 
+@pytest.mark.linux
 def test_all_processes_may_die() -> None:
     numbers = [signal.SIGSEGV, signal.SIGKILL, 35, signal.SIGSEGV, signal.SIGTERM]
     results = list(outcomes_in_processes(work.kill_itself, numbers, 2))
@@ -105,6 +109,7 @@ def test_what_cannot_be_pickled() -> None:
         list(map_in_processes(lambda item: item, [1], 2))
 
 
+@pytest.mark.linux
 def test_an_exception_of_the_items_ends_the_work() -> None:
     def items() -> Iterator[int]:
         yield 1

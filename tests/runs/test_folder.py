@@ -73,6 +73,7 @@ with opened_folder(pathlib.Path(sys.argv[1]), {}, resume=False):
 """
 
 
+@pytest.mark.posix
 def test_a_run_whose_creation_was_killed_can_be_created(tmp_path: Path) -> None:
     subprocess.run([sys.executable, "-c", KILLED, str(tmp_path / "run")])
     assert len(list((tmp_path / "run").iterdir())) == 2  # lock and partial configuration
@@ -105,6 +106,7 @@ def test_a_run_that_was_there_before_is_kept(folder: Path) -> None:
     assert is_run(folder)
 
 
+@pytest.mark.posix
 def test_damaged_and_special_files_are_named(tmp_path: Path) -> None:
     (tmp_path / "damaged").write_text("{")
     (tmp_path / "list").write_text("[]")

@@ -1,5 +1,6 @@
 """A server on loopback, where the libraries for it are installed."""
 
+import os
 from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
@@ -32,6 +33,14 @@ def fast(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
+def slow(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let a step take twice as long, so that keys arrive in time on a busy machine."""
+    from magical.web import session
+
+    monkeypatch.setattr(session, "STEP_TIME", 0.25)
+
+
+@pytest.fixture
 def server(dataset: Path) -> Iterator["RunningServer"]:
     """A server for three players."""
     from tests.web.serving import running
@@ -42,12 +51,13 @@ def server(dataset: Path) -> Iterator["RunningServer"]:
 
 @pytest.fixture(scope="session")
 def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator["Browser"]:
-    """Headless Chromium; tests that need it are skipped where it is not installed."""
+    """Headless Chromium; without it, tests are skipped, or fail if REQUIRE_CHROMIUM is set."""
     from tests.web.browser import find_browser, start_browser
 
     program = find_browser()
     if program is None:
-        pytest.skip("no Chromium is installed")
+        missing = pytest.fail if os.environ.get("REQUIRE_CHROMIUM") else pytest.skip
+        missing("no Chromium is installed")
     with start_browser(program, tmp_path_factory.mktemp("browser")) as started:
         yield started
 

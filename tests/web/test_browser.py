@@ -11,7 +11,7 @@ from tests.web.serving import RunningServer
 
 
 def test_an_episode_is_played_with_keys_kept_and_found(
-    tab: Tab, server: RunningServer, dataset: Path
+    slow: None, tab: Tab, server: RunningServer, dataset: Path
 ) -> None:
     tab.evaluate("element('name').value = 'Ada'; element('seed').value = 3")
     tab.evaluate("element('choose').requestSubmit()")

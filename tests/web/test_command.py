@@ -19,6 +19,7 @@ from magical.demos import Dataset
 ADDRESS = re.compile(r"(http://127\.0\.0\.1:\d+/)\?token=([\w-]{22,})\n")
 
 
+@pytest.mark.posix
 @pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM])
 def test_the_first_line_is_the_address_with_the_token(tmp_path: Path, end: signal.Signals) -> None:
     command = [sys.executable, "-m", "magical", "play", "--port", "0", "--record", "demos"]

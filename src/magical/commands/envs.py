@@ -5,7 +5,7 @@ import argparse
 from magical.commands._common import add_json, print_json, print_table
 from magical.envs import all_env_ids
 from magical.observe import PRESETS
-from magical.tasks import TASKS
+from magical.tasks import importable_tasks
 
 HELP = "list tasks, variants and horizons"
 
@@ -18,19 +18,20 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Print the registry."""
     ids = all_env_ids(presets=True)
-    rows = [(task.name, task.horizon, " ".join(task.variants)) for task in TASKS.values()]
+    tasks = importable_tasks()
+    rows = [(task.name, task.horizon, " ".join(task.variants)) for task in tasks]
     print_table(("task", "horizon", "variants"), rows)
     print()
     print("environment ids: magical/<task>-<variant>[-<preset>]-v0")
     print(f"presets: {' '.join(PRESETS)}")
     print(f"{len(all_env_ids())} environments, {len(ids)} ids, with and without presets")
-    tasks = {
+    described = {
         task.name: {
             "horizon": task.horizon,
             "variants": list(task.variants),
             "summary": task.summary,
         }
-        for task in TASKS.values()
+        for task in tasks
     }
-    print_json(args, {"tasks": tasks, "presets": list(PRESETS), "ids": ids})
+    print_json(args, {"tasks": described, "presets": list(PRESETS), "ids": ids})
     return 0

@@ -7,6 +7,7 @@ metrics, two checkpoints.
 import argparse
 import shlex
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from magical.commands._common import (
@@ -90,11 +91,13 @@ def run(args: argparse.Namespace) -> int:
 def _imports(config: "Config") -> str:
     """`--import` for each module that the configuration names, which new processes need."""
     from magical.envs.vector.workers import defining_modules
+    from magical.errors import InvalidTaskError
     from magical.learning.algorithms import modules_of
     from magical.tasks import get_task
 
-    tasks = [get_task(name) for name in config.tasks]
-    modules = dict.fromkeys((*defining_modules(tasks), *modules_of(config)))
+    modules = dict.fromkeys(modules_of(config))
+    with suppress(InvalidTaskError):  # no module can be named, but the run has been trained
+        modules |= dict.fromkeys(defining_modules([get_task(name) for name in config.tasks]))
     return "".join(f" --import {shlex.quote(module)}" for module in modules)
 
 
@@ -109,9 +112,8 @@ class _ParseOptions(argparse.Action):
         option_string: str | None = None,
     ) -> None:
         """See `argparse.Action`."""
-        options = argparse.ArgumentParser(
+        options = type(parser)(
             prog=f"{parser.prog} {namespace.algorithm}",
-            allow_abbrev=False,
             argument_default=argparse.SUPPRESS,  # the preset's value is used
         )
         _add_options(options, namespace.algorithm)

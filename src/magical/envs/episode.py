@@ -22,7 +22,7 @@ from magical.scene.actions import AnyAction
 from magical.scene.constants import MAX_NUDGE
 from magical.scene.poses import Poses, State
 from magical.scene.scene import Dynamics, Scene
-from magical.tasks import TASKS, Horizon, Task, parse_horizon
+from magical.tasks import Horizon, Task, importable_tasks, parse_horizon
 from magical.tasks.programs import SUCCESS, progress
 
 RESET_OPTIONS = ("scene", "dynamics", "nudge")
@@ -193,7 +193,7 @@ def check_reward(task: Task, reward: str) -> None:
             f"reward {quoted(reward)} is unknown; expected one of: {', '.join(get_args(Reward))}"
         )
     if reward == "dense" and task.program is None:
-        having = [name for name, other in TASKS.items() if other.program is not None]
+        having = [other.name for other in importable_tasks() if other.program is not None]
         raise UnknownNameError(
             f"{task.name} has no dense reward; expected one of: {', '.join(having)}"
         )

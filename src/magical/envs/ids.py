@@ -6,7 +6,7 @@ from typing import Self
 from magical.errors import UnknownNameError
 from magical.messages import quoted
 from magical.observe.presets import PRESETS
-from magical.tasks import TASKS, Task, get_task
+from magical.tasks import Task, get_task, importable_tasks
 
 NAMESPACE = "magical"
 VERSION = "v0"
@@ -90,13 +90,13 @@ def parse_env_id(env_id: str) -> EnvId:
 
 
 def all_env_ids(presets: bool = False) -> list[EnvId]:
-    """The ids of all variants of all tasks, except generated tasks.
+    """The ids of all variants of all importable tasks, except generated tasks.
 
     With `presets`, the ids with each preset as well.
     """
     return [
         EnvId(task.name, variant, preset)
-        for task in TASKS.values()
+        for task in importable_tasks()
         for variant in task.variants
         for preset in ((None, *PRESETS) if presets else (None,))
     ]

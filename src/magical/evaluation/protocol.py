@@ -12,10 +12,10 @@ from magical.errors import UnknownNameError
 from magical.grouping import group_by
 from magical.observe import Observation, make_spec
 from magical.tasks import (
-    TASKS,
     Horizon,
     format_horizon,
     get_task,
+    importable_tasks,
     parse_horizon,
     require_two_horizons,
 )
@@ -133,7 +133,9 @@ class Evaluated(Evaluation):
 def environments(
     tasks: Iterable[str] | None = None, variants: Iterable[str] | None = None
 ) -> list[EnvId]:
-    """Environment ids of the tasks' variants, by default all; short names are accepted.
+    """Environment ids of the tasks' variants, by default of all importable tasks.
+
+    Short names of variants are accepted.
 
     A single task or variant may be given as a string.
 
@@ -144,7 +146,7 @@ def environments(
     variants = [variants] if isinstance(variants, str) else variants
     wanted = None if variants is None else set(map(full_variant, variants))
     env_ids: list[EnvId] = []
-    for task in map(get_task, TASKS if tasks is None else dict.fromkeys(tasks)):
+    for task in importable_tasks() if tasks is None else map(get_task, dict.fromkeys(tasks)):
         found = [name for name in task.variants if wanted is None or name in wanted]
         if not found and tasks is not None:
             known = ", ".join(map(short_variant, task.variants))

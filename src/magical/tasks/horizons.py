@@ -8,7 +8,7 @@ import numpy as np
 
 from magical.errors import InvalidConfigError, UnknownNameError
 from magical.messages import quoted
-from magical.tasks.registry import TASKS, get_task
+from magical.tasks.registry import get_task, importable_tasks
 from magical.tasks.task import Horizon
 
 APPENDIX: Final = "appendix"
@@ -60,7 +60,7 @@ def require_two_horizons(tasks: Iterable[str]) -> None:
     if have_two_horizons(names):
         return
     found = ", ".join(f"{name} ({get_task(name).horizon} steps)" for name in names)
-    expected = ", ".join(task.name for task in TASKS.values() if task.has_two_horizons)
+    expected = ", ".join(task.name for task in importable_tasks() if task.has_two_horizons)
     raise UnknownNameError(
         f"horizon 'published': expected a task that the published code runs for another number of "
         f"steps ({expected}), found tasks with one horizon only: {found}; leave the horizon out"

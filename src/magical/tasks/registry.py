@@ -2,6 +2,7 @@
 
 import importlib
 import pkgutil
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from difflib import get_close_matches
 from functools import partial
@@ -20,6 +21,7 @@ Result = TypeVar("Result")
 GROUP = "magical.tasks"  # of entry points, each named like its task
 
 _tasks: dict[str, Task] = {}
+_imported_from: dict[str, str] = {}  # the module by whose import a task was registered
 
 
 class _Tasks(Mapping[str, Task]):
@@ -76,6 +78,7 @@ def unregister_task(name: str) -> Task:
     task = get_task(name)
     if _tasks.pop(task.name, None) is None:
         raise UnknownNameError(f"{task.name} is a generated task, which cannot be removed")
+    _imported_from.pop(task.name, None)
     return task
 
 
@@ -94,6 +97,20 @@ def get_task(name: str) -> Task:
         f"task {name!r} is not registered; expected one of: {', '.join(TASKS)}; {hint}"
         "import or install what registers it"
     )
+
+
+def importable_tasks() -> list[Task]:
+    """All tasks of `TASKS`, but those of other distributions that cannot be imported.
+
+    A warning says which are left out.
+    """
+    tasks = []
+    for name in TASKS:
+        try:
+            tasks.append(TASKS[name])
+        except PluginError as error:
+            warnings.warn(str(error), stacklevel=1)
+    return tasks
 
 
 def load_task(name: str) -> Task:
@@ -132,6 +149,23 @@ def register_tasks_of(module: ModuleType) -> None:
     for task in vars(module).values():
         if isinstance(task, Task) and task.name not in TASKS:
             register_task(task)
+
+
+def import_tasks(name: str) -> None:
+    """Import a user's module, by its name or file, and register the tasks that it holds or makes.
+
+    Raises:
+        PluginError: it cannot be imported.
+    """
+    known = set(_tasks)
+    module = import_user_module(name)
+    register_tasks_of(module)
+    _imported_from.update(dict.fromkeys(set(_tasks) - known, module.__name__))
+
+
+def registering_module(task: str) -> str | None:
+    """The module that registered a task when the user imported it, if there is one."""
+    return _imported_from.get(task)
 
 
 def with_tasks(work: Callable[[Item], Result], modules: Iterable[str]) -> Callable[[Item], Result]:

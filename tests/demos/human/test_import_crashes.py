@@ -1,6 +1,5 @@
 """A published file whose reading crashes costs that file alone."""
 
-import os
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +28,7 @@ def files(tmp_path: Path, published: Any, monkeypatch: pytest.MonkeyPatch) -> Pa
     return folder
 
 
-@pytest.mark.skipif(os.name == "nt", reason="signals")
+@pytest.mark.posix
 def test_a_crash_costs_one_file_which_is_named(files: Path, tmp_path: Path, run: Run) -> None:
     out = tmp_path / "out"
     status, result = run("import", files, "--out", out, "--workers", 2)

@@ -115,6 +115,7 @@ BOMBS = {  # what comes first, what comes then, and how many megabytes of that
 }
 
 
+@pytest.mark.linux
 @pytest.mark.parametrize("name", BOMBS)
 def test_bomb_is_refused_quickly_in_little_memory(
     tmp_path: Path, published: Any, name: str

@@ -261,7 +261,7 @@ def test_shape_that_overflows_is_refused(here: Path) -> None:
     refuse(here, P4 + NEW_ARRAY + b"(K\x01K\x00" + huge + b"\x86" + UINT8 + b"\x89C\x00tb.")
 
 
-@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs FIFOs and device files")
+@pytest.mark.posix
 def test_special_files_are_refused(here: Path) -> None:
     os.mkfifo(here / "fifo.pkl.gz")
     (here / "link.pkl.gz").symlink_to("/dev/zero")

@@ -176,6 +176,7 @@ DatasetWriter(sys.argv[2]).append(Dataset.open(sys.argv[1])[0])
 """
 
 
+@pytest.mark.posix
 def test_what_killed_writers_left_is_removed_by_the_next(
     tmp_path: Path, small_dataset: Path
 ) -> None:

@@ -157,7 +157,7 @@ def make_huge(path: Path) -> None:
 SPECIAL_FILES = [make_fifo, link_outside, make_huge]
 
 
-@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs FIFOs")
+@pytest.mark.posix
 @pytest.mark.parametrize("replace", SPECIAL_FILES)
 def test_special_file_instead_of_a_trajectory(
     small_dataset: Path, replace: Callable[[Path], None]
@@ -174,7 +174,7 @@ def test_special_file_instead_of_a_trajectory(
     assert [t.seed for t in Dataset.open(small_dataset)] == [1, 3]
 
 
-@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs FIFOs")
+@pytest.mark.posix
 @pytest.mark.parametrize("name", [manifest.NAME, LOCK])
 @pytest.mark.parametrize("replace", SPECIAL_FILES[:2])
 def test_special_file_instead_of_the_manifest_or_lock(

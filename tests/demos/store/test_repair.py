@@ -202,7 +202,7 @@ sys.exit(main(sys.argv[1:]))
 """
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="needs a limit on the size of files")
+@pytest.mark.linux
 def test_command_on_a_full_disk_exits_with_1(tmp_path: Path, published: Any) -> None:
     file = published().write(tmp_path / "demo.pkl.gz")
     out = tmp_path / "out"
@@ -217,8 +217,10 @@ def test_command_on_a_full_disk_exits_with_1(tmp_path: Path, published: Any) -> 
     assert len(Dataset.open(out)) == 0
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+@pytest.mark.posix
 def test_dataset_without_write_permission_can_be_read(small_dataset: Path) -> None:
+    if os.geteuid() == 0:
+        pytest.skip("root may write everywhere")
     for path in (small_dataset, small_dataset / ".lock"):
         path.chmod(0o555)
     assert len(list(Dataset.open(small_dataset))) == 3

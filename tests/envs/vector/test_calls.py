@@ -25,7 +25,6 @@ from magical.errors import (
 from tests.envs.vector.making import IDS, started
 from tests.waiting import gone
 
-posix = pytest.mark.skipif(os.name == "nt", reason="signals and forks")
 SECONDS = 20.0  # in which anything that ends at all has ended
 
 
@@ -50,7 +49,7 @@ print(before["actions"], envs.get_state(0)["actions"])
 """
 
 
-@posix
+@pytest.mark.posix
 @pytest.mark.parametrize(("workers", "outcome"), [(1, "refused True"), (0, "worked")])
 def test_a_fork_does_not_change_its_parents_environments(workers: int, outcome: str) -> None:
     command = [sys.executable, "-c", FORK.replace("{workers}", str(workers))]
@@ -99,7 +98,7 @@ def test_pickle_and_copies_say_what_to_do_instead(copied: Callable[[Any], Any]) 
             copied(made)
 
 
-@posix
+@pytest.mark.linux
 @pytest.mark.parametrize("call", ["step", "reset"])
 def test_a_stopped_worker_is_named_after_the_timeout(call: str) -> None:
     envs = started(timeout=SECONDS)
@@ -115,7 +114,7 @@ def test_a_stopped_worker_is_named_after_the_timeout(call: str) -> None:
         envs.step([0] * 4)
 
 
-@posix
+@pytest.mark.posix
 def test_a_timeout_that_is_kept_changes_nothing() -> None:
     limited, unlimited = started(timeout=SECONDS), started()
     for _ in range(3):
@@ -135,7 +134,7 @@ def test_impossible_timeouts(timeout: Any) -> None:
         MagicalVectorEnv(IDS, workers=0, observation="state", timeout=1.0)
 
 
-@posix
+@pytest.mark.linux
 def test_closing_does_not_wait_for_a_stopped_worker() -> None:
     envs = started()
     workers = envs.worker_process_ids

@@ -27,7 +27,7 @@ from magical.tasks import register_task, unregister_task
 from tests.envs.vector.making import IDS, started, vector
 from tests.waiting import alive, gone
 
-pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals and /proc")
+pytestmark = pytest.mark.posix
 MODULE = """
 import os
 from dataclasses import replace
@@ -63,6 +63,7 @@ def descriptors() -> int:
     return len(list(Path("/proc/self/fd").iterdir()))
 
 
+@pytest.mark.linux
 @pytest.mark.parametrize(("killed", "rows"), [(0, "0 to 1"), (1, "2 to 3")])
 def test_a_killed_worker_is_named_and_the_others_end(killed: int, rows: str) -> None:
     before = descriptors()
@@ -139,6 +140,7 @@ def test_a_task_that_workers_cannot_import(misbehave: Misbehave) -> None:
     started(MISBEHAVING, 1).close()
 
 
+@pytest.mark.linux
 def test_an_interrupted_exchange_closes(monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted(worker: Any) -> None:
         raise KeyboardInterrupt
@@ -152,6 +154,7 @@ def test_an_interrupted_exchange_closes(monkeypatch: pytest.MonkeyPatch) -> None
     assert gone(workers)
 
 
+@pytest.mark.linux
 @pytest.mark.parametrize("how", ["closing twice", "garbage collection"])
 def test_the_end_of_an_environment_ends_everything(how: str) -> None:
     before = descriptors()
@@ -253,9 +256,10 @@ print(*envs.worker_process_ids, flush=True)
 """
 
 
+@pytest.mark.linux
 @pytest.mark.parametrize(
     ("end", "status"),
-    [("envs.step([0, 0])", 0), ("os.kill(os.getpid(), signal.SIGKILL)", -signal.SIGKILL)],
+    [("envs.step([0, 0])", 0), ("os.kill(os.getpid(), signal.SIGKILL)", -9)],
     ids=["end", "SIGKILL"],
 )
 def test_workers_end_with_their_script(end: str, status: int, tmp_path: Path) -> None:

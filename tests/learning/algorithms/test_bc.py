@@ -212,6 +212,7 @@ train(read_config(pathlib.Path(sys.argv[1])), sys.argv[2], callback=die)
 """
 
 
+@pytest.mark.posix
 def test_a_killed_run_leaves_no_lock_and_its_partial_files_are_removed(
     demos: Path, tmp_path: Path
 ) -> None:
@@ -226,6 +227,7 @@ def test_a_killed_run_leaves_no_lock_and_its_partial_files_are_removed(
     assert same_weights(folder, tmp_path / "whole")
 
 
+@pytest.mark.posix
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signals_leave_a_checkpoint_to_go_on_from(
     number: signal.Signals, demos: Path, tmp_path: Path
@@ -241,6 +243,7 @@ def test_signals_leave_a_checkpoint_to_go_on_from(
     assert same_weights(tmp_path / "run", tmp_path / "whole")
 
 
+@pytest.mark.posix
 def test_a_second_interrupt_stops_at_once(demos: Path, tmp_path: Path) -> None:
     def twice() -> None:
         os.kill(os.getpid(), signal.SIGINT)

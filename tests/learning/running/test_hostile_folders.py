@@ -61,6 +61,7 @@ def use(folder: Path, config: BCConfig) -> None:
     train(config, folder, resume=True)
 
 
+@pytest.mark.posix
 @pytest.mark.parametrize("name", [CONFIG, RECORD, METRICS, CHECKPOINT])
 def test_special_files_are_refused(name: str, folder: Path, config: BCConfig) -> None:
     (folder / PREVIOUS).unlink(missing_ok=True)

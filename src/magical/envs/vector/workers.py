@@ -35,7 +35,7 @@ from magical.processes import Child, serve
 from magical.scene.actions import NOOP
 from magical.tasks import Task, load_tasks
 from magical.tasks.programs.generated import is_generated
-from magical.tasks.registry import GROUP
+from magical.tasks.registry import GROUP, registering_module
 
 _GRACE_PERIOD = 2.0  # seconds that workers have to exit on their own
 _STEP = pickle.dumps(("step", ()))
@@ -197,6 +197,8 @@ def _defining_module(task: Task) -> str:
     for name, module in list(sys.modules.items()):
         if name not in ("__main__", "__mp_main__") and _holds(module, task):
             return name
+    if (registering := registering_module(task.name)) is not None:
+        return registering
     raise InvalidTaskError(
         f"task {task.name}: workers import tasks by themselves, and no importable module holds "
         "this one (the main script is never imported); give it a name in a module, or use "
