@@ -21,13 +21,14 @@ from magical.evaluation.statistics import (
     run_means,
 )
 from magical.grouping import group_by
+from magical.report.found.statements import marked
 
 
 @dataclass(frozen=True, slots=True)
 class ComparedMethod:
     """One method's runs on the compared environments."""
 
-    name: str
+    name: str  # with its marks
     runs: Sequence[Entry]
     env_ids: Sequence[EnvId]
     means: Floats  # (runs, environments); NaN where a run was not evaluated
@@ -36,6 +37,11 @@ class ComparedMethod:
     def several(self) -> bool:
         """Whether any environment has several runs."""
         return bool(self._counts.max() > 1)
+
+    @property
+    def fewest_runs(self) -> int:
+        """The smallest number of runs in any environment."""
+        return int(self._counts.min())
 
     @property
     def unit(self) -> str:
@@ -94,7 +100,11 @@ def compared_methods(entries: Iterable[Entry]) -> list[ComparedMethod]:
     groups = group_by(entries, attrgetter("row"))
     found = [_environments(runs) for runs in groups.values()]
     shared = [env_id for env_id in (found[0] if found else []) if all(env_id in i for i in found)]
-    return [_method(name, group, shared) for name, group in groups.items()] if shared else []
+    return (
+        [_method(marked(name, group), group, shared) for name, group in groups.items()]
+        if shared
+        else []
+    )
 
 
 def _method(name: str, group: Sequence[Entry], env_ids: Sequence[EnvId]) -> ComparedMethod:
