@@ -121,6 +121,7 @@ class Page:
         self.rows: list[MethodRuns] = [known[name] for name in self.methods if name in known]
         unpublished = [method for method in (*planned, EXPERT) if method not in self.methods]
         self.others = [known[name] for name in unpublished if name in known]
+        self.labels = {row.method: row.label for row in (*self.rows, *self.others)}
         self.rejected += [
             Rejected(str(root / "studies"), name, [f"{name} is a method of none of the plans"])
             for name in known
@@ -191,7 +192,8 @@ class Page:
         return table(header, map(self._count_row, self.methods))
 
     def _count_row(self, method: str) -> list[str]:
-        names = [method, "the same" if published_row(method) == method else published_row(method)]
+        published = "the same" if published_row(method) == method else published_row(method)
+        names = [self.labels.get(method, method), published]
         if method not in self.counts:
             return [*names, NOT_RUN, *[""] * (len(LIMITS) + 2)]
         return [*names, *_count_cells(self.counts[method])]
@@ -207,7 +209,8 @@ class Page:
             [task, *(_task_cell(tasks.get(task, ())) for tasks in shown.values())]
             for task in self.tasks
         ]
-        return table(("Task", *shown), rows) if shown else NOTHING
+        header = ("Task", *(self.labels[method] for method in shown))
+        return table(header, rows) if shown else NOTHING
 
     def far_cells(self) -> str:
         """The cells beyond two pooled standard deviations, by method, of published rows."""
@@ -220,7 +223,7 @@ class Page:
                         f"{cell.task} {cell.variant} ({distance_text(cell.distance)})"
                         for cell in cells
                     )
-                    lines.append(f"- {method}, {side}: {listed}")
+                    lines.append(f"- {self.labels[method]}, {side}: {listed}")
         return "\n".join(lines) or ("None." if self.counts else NOTHING)
 
     def claim_table(self) -> str:
@@ -233,7 +236,8 @@ class Page:
         """A row for each method that reproduces a published row, and part of the environments."""
         header = ("Row", "On", "Tasks", "Ours", "Published", "Difference", "Verdict")
         found = find_agreements(self.rows)
-        return table(header, (list(agreement_row(row)) for row in found)) if found else NOTHING
+        rows = [list(agreement_row(row, self.labels[row.method])) for row in found]
+        return table(header, rows) if rows else NOTHING
 
     def variation_table(self) -> str:
         """A row for each variation of BC and part of the environments."""
@@ -272,7 +276,7 @@ class Page:
 
     def cell_tables(self) -> str:
         """A table for each method that has been run: tasks by variants."""
-        parts = [cell_table(method, cells) for method, cells in self.cells.items() if cells]
+        parts = [cell_table(self.labels[m], cells) for m, cells in self.cells.items() if cells]
         return "\n\n".join(parts) or NOTHING
 
     def baseline_table(self) -> str:
@@ -287,7 +291,7 @@ class Page:
             if all(i in row.env_ids for row in rows for i in pair):
                 means = [f"{row.runs_in(i).mean():.2f}" for i in pair for row in rows]
                 lines.append([f"{env_id.task} ({len(rows[1].runs_in(env_id))} runs)", *means])
-        header = [f"{name}, {variant}" for variant in ("Demo", "TestAll") for name in BASELINE]
+        header = [f"{row.label}, {variant}" for variant in ("Demo", "TestAll") for row in rows]
         return table(("Task", *header), lines)
 
     def gap_table(self) -> str:
@@ -343,15 +347,11 @@ def _standings(board: Board) -> str:
     header = (*head, "Intervals over", "Demo", "TestAll", "Gap", "Rank by gap")
     rows = [
         [
-            *(
-                "reference" if row.is_reference else row.rank,
-                row.method + row.statements.mark,
-                row.learning_class or "–",
-                *_stated(row.statements),
-            ),
+            *(row.place, row.method + row.statements.mark, row.learning_class or "–"),
+            *_stated(row.statements),
             *(", ".join(row.used) or "–", row.unit),
             *(mean_text(row.demo), mean_text(row.test_all), signed(row.gap)),
-            "–" if row.is_reference else row.gap_rank,
+            row.gap_place,
         ]
         for row in board.standings
     ]

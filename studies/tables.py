@@ -40,8 +40,8 @@ def variation_row(finding: Finding, together: Finding) -> Iterator[str]:
         yield NOT_RUN if ours is None else verdicts.get(verdict(ours), verdict(ours))
 
 
-def agreement_row(agreement: Agreement) -> Iterator[str]:
-    yield agreement.method
+def agreement_row(agreement: Agreement, label: str) -> Iterator[str]:
+    yield label
     yield agreement.part
     yield task_names(agreement.tasks)
     yield from map(mean_text, (agreement.ours, agreement.published))
@@ -67,11 +67,12 @@ def task_names(tasks: Sequence[str]) -> str:
 def order_table(rows: Sequence[MethodRuns], part: str) -> str:
     """A table of methods, ordered by our means; empty for fewer than two."""
     tasks, places = order(rows, part)
+    labels = {row.method: row.label for row in rows}
     if len(places) < 2:
         return ""
     header = ("Rank", "Row", "Ours", "Published", "Published rank")
     lines = (
-        (p.rank, p.method, mean_text(p.ours), mean_text(p.published), p.published_rank)
+        (p.rank, labels[p.method], mean_text(p.ours), mean_text(p.published), p.published_rank)
         for p in places
     )
     return f"{part}, {task_names(tasks)}:\n\n{table(header, lines)}"
@@ -81,7 +82,7 @@ def mean_text(interval: Interval) -> str:
     return signed(interval).replace("+", "")
 
 
-def cell_table(method: str, cells: Sequence[ComparedCell]) -> str:
+def cell_table(label: str, cells: Sequence[ComparedCell]) -> str:
     """A heading and a table; in each cell our mean, the published one, and the distance."""
     rows = []
     for task, of_task in group_by(cells, attrgetter("task")).items():
@@ -89,7 +90,7 @@ def cell_table(method: str, cells: Sequence[ComparedCell]) -> str:
         runs = {len(cell.means) for cell in of_task}
         name = f"{task} ({max(runs)} {'run' if runs == {1} else 'runs'})"
         rows.append([name, *(texts.get(variant, "") for variant in SHORT_VARIANTS)])
-    return f"### {method}\n\n{table(('Task', *SHORT_VARIANTS), rows)}"
+    return f"### {label}\n\n{table(('Task', *SHORT_VARIANTS), rows)}"
 
 
 def score_table(row: MethodRuns) -> str:
@@ -105,7 +106,7 @@ def score_table(row: MethodRuns) -> str:
         [task, *(cells.get(variant, "") for variant in SHORT_VARIANTS)]
         for task, cells in tasks.items()
     ]
-    return f"### {row.method}\n\n{table(('Task', *SHORT_VARIANTS), lines)}"
+    return f"### {row.label}\n\n{table(('Task', *SHORT_VARIANTS), lines)}"
 
 
 def cell_text(cell: ComparedCell) -> str:

@@ -10,11 +10,13 @@ contradicts its scores. This runs the entry's code: do it only where that can do
 """
 
 import argparse
+import json
 import os
 import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
@@ -113,7 +115,7 @@ def _ours_last(found: Found, folder: Path) -> Found:
 def _contradictions(folder: Path, submission: Submission) -> Iterator[str]:
     for run, policy in submission.policies.items():
         named = ["--policy", f"{folder / policy}"] if policy else []
-        command = [sys.executable, "-m", "magical", "verify", str(folder / run), *named]
+        command = [sys.executable, "-m", "magical", "verify", str(folder / run), *named, "--json"]
         with tempfile.TemporaryDirectory() as cache:  # so that no submitted bytecode is run
             done = subprocess.run(
                 command,
@@ -122,9 +124,18 @@ def _contradictions(folder: Path, submission: Submission) -> Iterator[str]:
                 text=True,
                 check=False,
             )
-        if done.returncode:
-            last = (done.stderr or done.stdout).strip().splitlines()[-1:]
-            yield f"{run}: {''.join(last)}"
+        *report, result = done.stdout.splitlines() or [""]
+        if not _is_confirmed(result):
+            lines = done.stderr.splitlines() or report or ["magical verify ended without a result"]
+            yield f"{run}: {lines[-1]}"
+
+
+def _is_confirmed(result: str) -> bool:
+    """Whether the JSON object of `magical verify` says so; its exit status is the entry's."""
+    with suppress(ValueError):
+        found = json.loads(result)
+        return isinstance(found, dict) and found.get("confirmed") is True
+    return False
 
 
 def describe(folder: Path, policies: Mapping[str, str]) -> None:

@@ -7,11 +7,13 @@ from pathlib import Path
 import numpy as np
 
 from magical.envs import EnvId
+from magical.evaluation import Entry
 from magical.evaluation.intervals import Floats
 from magical.evaluation.scores import RolloutScore
 from magical.evaluation.statistics import generalisation_gap, mean, run_means
 from magical.grouping import group_by
 from magical.report.found.search import search_results
+from magical.report.found.statements import marked
 from magical.report.scores.tables import signed
 from magical.tasks.axes import SHORT_VARIANTS, full_variant
 from studies.plan_results import LEADERBOARD, NOTHING, PlanResults
@@ -29,7 +31,8 @@ def held_out_tables(root: Path) -> str:
     """Tasks by methods, Demo and All; then methods by variants, means over tasks."""
     study = root / "studies" / "generated_tasks"
     plan = PlanResults.read(root, PLAN)
-    methods = read_methods([*(study / "results" / name for name in (RANDOM, PLAN)), *others(root)])
+    folders = [*(study / "results" / name for name in (RANDOM, PLAN)), *others(root)]
+    methods = {marked(name, of): _scores(of) for name, of in read_methods(folders).items()}
     header = ("Task", "Expert", *(f"{name} ({_runs(runs)})" for name, runs in methods.items()))
     experts = _expert_scores(study / "expert.csv")
     rows = [
@@ -53,11 +56,12 @@ def task_table(root: Path, name: str) -> str:
     plan = PlanResults.read(root, name)
     folders = root.glob(f"studies/*/results/{name}")
     parts = []
-    for method, runs in read_methods(folders).items():
+    for method, entries in read_methods(folders).items():
+        runs = _scores(entries)
         cells = [[_over_tasks(runs, [t], v) for v in SHORT_VARIANTS] for t in plan.plan["tasks"]]
         rows = [[task, *row] for task, row in zip(plan.plan["tasks"], cells, strict=True)]
         over_all = [_over_tasks(runs, plan.plan["tasks"], v) for v in SHORT_VARIANTS]
-        header = (f"{method} ({_runs(runs)})", *SHORT_VARIANTS)
+        header = (f"{marked(method, entries)} ({_runs(runs)})", *SHORT_VARIANTS)
         parts.append(table(header, [*rows, ["mean", *over_all]]))
     return "\n\n".join(parts)
 
@@ -75,11 +79,13 @@ def method_table(root: Path, name: str, beside: Mapping[str, str]) -> str:
         return NOTHING
     variants = shown.plan.get("variants", SHORT_VARIANTS)
     rows: dict[str, tuple[Runs, PlanResults]] = {}
+    labels: dict[str, str] = {}
     for plan, wanted in ((name, None), *beside.items()):
         results = PlanResults.read(root, plan)
-        for method, runs in read_methods(root.glob(f"studies/*/results/{plan}")).items():
+        for method, entries in read_methods(root.glob(f"studies/*/results/{plan}")).items():
             if wanted in (None, method):
-                rows[method] = runs, results
+                rows[method] = _scores(entries), results
+                labels[method] = marked(method, entries)
     tasks = [
         task
         for task in shown.plan["tasks"]
@@ -90,7 +96,7 @@ def method_table(root: Path, name: str, beside: Mapping[str, str]) -> str:
     header = (f"Mean over {task_names(tasks)}", *variants, *last)
     lines = [
         [
-            f"{method} ({_runs([r for r in runs if any(s.env_id.task in tasks for s in r)])})",
+            f"{labels[method]} ({_runs(_on(runs, tasks))})",
             *(_over_tasks(runs, tasks, variant) for variant in variants),
             _gap(runs, tasks),
             *(_over_tasks(runs, tasks, variant, "published_code_score") for variant in ENDS),
@@ -101,13 +107,20 @@ def method_table(root: Path, name: str, beside: Mapping[str, str]) -> str:
     return table(header, lines)
 
 
-def read_methods(folders: Iterable[Path]) -> Mapping[str, Runs]:
-    """The rollouts of each run of each method."""
+def read_methods(folders: Iterable[Path]) -> Mapping[str, Sequence[Entry]]:
+    """The entry of each run of each method."""
     found = search_results([path for path in folders if path.exists()])
     # What is evaluated for the leaderboard as well counts once.
     entries = [r.entry for r in found.results if r.folder.name != LEADERBOARD]
-    groups = group_by(entries, lambda entry: entry.method)
-    return {name: [entry.scores for entry in group] for name, group in groups.items()}
+    return group_by(entries, lambda entry: entry.method)
+
+
+def _scores(entries: Sequence[Entry]) -> Runs:
+    return [entry.scores for entry in entries]
+
+
+def _on(runs: Runs, tasks: Sequence[str]) -> Runs:
+    return [run for run in runs if any(row.env_id.task in tasks for row in run)]
 
 
 def _runs(runs: Runs) -> str:

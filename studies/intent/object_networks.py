@@ -14,7 +14,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from magical.learning.objects.parser import parse_frames
+from magical.learning.objects.parser import PARSER_SOURCES, parse_frames
 from magical.learning.objects.table import ObjectTable, to_table
 from magical.observe.pixels import CHANNELS
 from magical.scene import Colour, Shape
@@ -121,6 +121,7 @@ class Architecture:
 
     network: type[nn.Module]
     HIDDEN: tuple[int, ...] = (256,)
+    LEARNED_FROM: tuple[str, ...] = PARSER_SOURCES
 
     def make_convolutions(self, channels: int, batch_norm: bool) -> nn.Module:
         """The network; it has no batch norm."""

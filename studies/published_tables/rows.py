@@ -10,7 +10,13 @@ from magical.evaluation import environments, published_methods
 from magical.evaluation.intervals import Floats
 from magical.evaluation.statistics import by_environment, run_means
 from magical.report.found.search import Found, Result, same_run
-from magical.report.found.statements import UNSTATED, Statements, gather_statements, stated_looks
+from magical.report.found.statements import (
+    UNSTATED,
+    Statements,
+    gather_statements,
+    marks,
+    stated_looks,
+)
 from magical.report.leaderboard.checks import (
     Rejected,
     incompleteness,
@@ -43,6 +49,11 @@ class MethodRuns:
     means: Floats
     learning_class: str = ""
     statements: Statements = UNSTATED
+
+    @property
+    def label(self) -> str:
+        """The method's name with its marks."""
+        return self.method + marks(self.statements.looks, self.learning_class)
 
     def on(self, env_ids: Sequence[EnvId]) -> Floats:
         """The means in some of the environments, of the runs that have any of them."""

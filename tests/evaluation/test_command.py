@@ -194,17 +194,21 @@ def test_a_training_seed_tells_runs_apart(
     assert (status, "--training-seed needs --out" in err) == (2, True)
 
 
-def test_what_was_stated_before_counts_when_an_entry_is_made_again(
+def test_what_it_learned_from_is_stated_again_when_an_entry_is_made_again(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     (tmp_path / "own.py").write_text(POLICY)
     folder = tmp_path / "entry"
     argv = [f"{tmp_path / 'own.py'}:still", "--task", "MoveToRegion", "--out", str(folder)]
-    assert evaluate(capsys, *argv, "--learned-from", "demonstrations")[0] == 0
-    assert evaluate(capsys, *argv, "--leaderboard")[0] == 0
-    assert faults(read_entry(folder)) == []
-    replace(read_entry(folder), details={"looks": "three"}).write(folder)
+    stated = ["--learned-from", "demonstrations"]
+    assert evaluate(capsys, *argv, *stated, "--looks", "3")[0] == 0
     status, _, err = evaluate(capsys, *argv, "--leaderboard")
+    assert (status, "expected learned_from in the details" in err) == (2, True)
+    assert evaluate(capsys, *argv, "--leaderboard", *stated)[0] == 0
+    assert faults(read_entry(folder)) == []
+    assert read_entry(folder).details["looks"] == 3
+    replace(read_entry(folder), details={"looks": "three"}).write(folder)
+    status, _, err = evaluate(capsys, *argv, "--leaderboard", *stated)
     assert (status, "expected looks in the details to be a whole number" in err) == (2, True)
 
 

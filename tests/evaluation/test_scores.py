@@ -102,6 +102,28 @@ def test_entries_are_read_back_and_keep_what_their_authors_added(tmp_path: Path)
     assert read_entry(tmp_path).nudge == 0.0
 
 
+@pytest.mark.parametrize(
+    ("earlier", "stated", "expected"),
+    [
+        ({"learned_from": [], "looks": 0}, {}, {}),
+        ({"learned_from": [], "looks": 0}, {"looks": 2}, {"looks": 2}),
+        ({"looks": 20}, {}, {"looks": 20}),
+        ({"looks": 20}, {"looks": 0}, {"looks": 20}),
+        (
+            {"learned_from": ["demonstrations"]},
+            {"learned_from": ["demonstrations", "benchmark prior"]},
+            {"learned_from": ["demonstrations", "benchmark prior"]},
+        ),
+    ],
+)
+def test_an_earlier_entry_does_not_flatter_a_later_one(
+    tmp_path: Path, earlier: dict[str, Any], stated: dict[str, Any], expected: dict[str, Any]
+) -> None:
+    for details in (earlier, stated):
+        Entry(method="mine", scores=SCORES, details=details).write(tmp_path)
+    assert read_entry(tmp_path).details == expected
+
+
 def test_a_full_disk_leaves_the_previous_entry(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -97,7 +97,8 @@ def test_a_policy_is_shown_again_what_it_was_shown(observation: Observation) -> 
 
 
 def test_the_scores_of_another_policy_are_not(entry: Entry) -> None:
-    better = replace(entry, scores=[row._replace(score=1.0) for row in entry.scores])
+    perfect = [row._replace(score=1.0, published_code_score=1.0) for row in entry.scores]
+    better = replace(entry, scores=perfect)
     for elsewhere in (True, False):
         rng = np.random.default_rng(0)
         found = verify(better, RandomPolicy(), rng=rng, elsewhere=elsewhere, workers=0)
@@ -127,6 +128,21 @@ def test_one_changed_rollout_elsewhere_shows_nothing_and_here_it_does() -> None:
     assert found.mean_changes()[0] == pytest.approx((0.25, 0.25 - half, 1.0))
     assert found.confirmed
     assert not replace(found, exact=True).confirmed
+
+
+def test_a_sample_is_said_to_be_one(entry: Entry) -> None:
+    found = verify(entry, RandomPolicy(), rng=np.random.default_rng(0), workers=0)
+    assert found.total == 90
+    assert found.share == len(found.recorded) / 90 < 1.0
+    assert Verification(rows(0.5), rows(0.5), exact=True).share == 1.0
+
+
+def test_rules_that_are_the_same_give_the_same_score_in_every_row(entry: Entry) -> None:
+    *others, last = entry.scores
+    changed = replace(entry, scores=[*others, last._replace(published_code_score=0.123)])
+    for _ in range(3):
+        with pytest.raises(ScoresError, match="rollout 29: expected equal scores by both rules"):
+            verify(changed, RandomPolicy(), rng=np.random.default_rng(), workers=0)
 
 
 def test_another_kind_of_policy_is_refused(entry: Entry) -> None:
@@ -218,13 +234,26 @@ def test_the_command_confirms_or_exits_with_1(
     verify = ["verify", str(tmp_path), "--workers", "0", "--seed", "1"]
     assert cli.main([*verify, "--json"]) == 0
     out = capsys.readouterr().out
-    assert "confirmed: 8 of 8" in out
+    assert "all 8 rollouts run again\nconfirmed: 8 of 8" in out
     assert "MoveToRegion  All " in out
     assert '"equal": 8' in out
     scores = tmp_path / "scores.csv"
     scores.write_text(scores.read_text().replace(",0.0,0.0", ",1.0,1.0"))
     assert cli.main(verify) == 1
     assert "not confirmed" in capsys.readouterr().out
+
+
+def test_the_command_says_what_its_sample_can_find(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    argv = ["--task", "MoveToRegion", "--variants", "Demo", "--rollouts", "80"]
+    options = ["--workers", "0", "--horizon", "2"]
+    cli.main(["evaluate", "random", *argv, *options, "--out", str(tmp_path)])
+    capsys.readouterr()
+    assert cli.main(["verify", str(tmp_path), "--workers", "0", "--json"]) == 0
+    out = capsys.readouterr().out
+    assert "of 80 rollouts run again: one altered score is found with probability 0." in out
+    assert '"total": 80' in out
 
 
 def test_code_that_an_entry_names_is_not_run(

@@ -1,11 +1,12 @@
 """What entries say about trained policies."""
 
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from magical.learning import algorithm_names, find_algorithm
-from magical.runs.sources import SOURCES, learned_from
+from magical.runs.sources import SOURCES, learned_from, learning_class
 from tests.learning.tiny_runs import tiny
 
 
@@ -42,6 +43,25 @@ def test_sources_by_algorithm(
 ) -> None:
     assert learned_from(details_of(algorithm, **fields)) == expected
     assert set(expected) <= set(SOURCES)
+
+
+CHOSEN = SimpleNamespace(LEARNED_FROM=("benchmark prior",), HIDDEN=(8,), make_convolutions=print)
+
+
+@pytest.mark.parametrize(
+    ("network", "expected"),
+    [
+        (f"{__name__}:CHOSEN", ("demonstrations", "benchmark prior")),
+        (
+            "studies.intent.object_networks:DEEP_SET",
+            ("demonstrations", "object parser", "benchmark prior"),
+        ),
+    ],
+)
+def test_a_network_says_what_it_was_made_from(network: str, expected: tuple[str, ...]) -> None:
+    found = learned_from(details_of("bc", network=network))
+    assert found == expected
+    assert learning_class(found) == "B"
 
 
 def test_the_number_of_demonstrations_is_said() -> None:

@@ -19,7 +19,7 @@ from magical.learning.algorithms.bc import BCConfig
 from magical.learning.algorithms.gail import GAILConfig
 from magical.learning.encoders import FrameFeatures, FrozenEncoder
 from magical.learning.models import PolicyNetwork, Trunk
-from magical.learning.networks import find_network, is_pretrained
+from magical.learning.networks import find_network, sources_of
 from magical.runs import read_metrics
 from tests.learning.tiny_runs import checkpoint, same_weights, tiny
 
@@ -225,9 +225,9 @@ def test_frames_are_resized_for_a_model_of_a_fixed_size(
 
 
 def test_which_networks_are_pretrained(timm: FakeTimm) -> None:
-    assert is_pretrained("timm:tiny.tag")
-    assert is_pretrained(__name__ + ":ENCODER")
-    assert not is_pretrained("small")
+    assert sources_of("timm:tiny.tag") == ("extra data",)
+    assert sources_of(__name__ + ":ENCODER") == ("extra data",)
+    assert sources_of("small") == ()
 
 
 @pytest.mark.parametrize("name", ["huge", "tiny.other", "hf_hub:somebody/model"])

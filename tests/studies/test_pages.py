@@ -45,7 +45,7 @@ def write_run(repository: Path, plan: str, method: str, task: str, seed: int, sc
     if results.exists():
         runs = [*json.loads((results / "plan.json").read_text())["runs"], run]
     seconds: dict[str, object] = {"seconds": {"training": 90.0, "evaluation": 30.0}}
-    known = {str(run["folder"]): seconds for run in runs}
+    known = {str(each["folder"]): {**each, **seconds} for each in runs}
     collected = Collected(version=__version__, runs=known, failed={"another": "no room"})
     collected.entries = {**entries_of(results), f"runs/{name}": entry}
     results.mkdir(parents=True, exist_ok=True)
@@ -150,6 +150,31 @@ def test_the_object_centred_learner_has_a_baseline_from_the_same_demonstrations(
     assert found == [["MoveToRegion (1 runs)", "0.75", "0.50", "0.75", "0.50"]]
 
 
+def test_every_table_of_methods_marks_looks_and_class(repository: Path) -> None:
+    details = {"learned_from": ["demonstrations", "benchmark prior"], "looks": 20}
+
+    def state(key: str, entries: dict[str, Entry]) -> None:
+        entries[key] = replace(entries[key], details={**entries[key].details, **details})
+
+    hundred = "BC (ST), 100 perturbed experts"
+    for plan, method in (
+        ("bc-human", "BC (ST)"),
+        ("bc-perturbed-100", hundred),
+        ("object-bc", "object-bc (ST)"),
+        ("adversarial-human", "GAIL (ST)"),
+        ("object-networks-human", "BC of objects (ST), deep set, human"),
+        ("bc-ablations-human", "BC (ST, allo.)"),
+        ("program-bc-human", "program-bc (ST), human"),
+    ):
+        folder = write_run(repository, plan, method, "MoveToRegion", 0, 0.5)
+        change_entries(folder, state)
+    text = made(repository)
+    for name in ("counts", "tasks", "far", "agreement", "orders", "cells", "baseline", "others"):
+        assert "† [B]" in section(text, name), name
+    for name in ("object-networks-human", "program-bc-human"):
+        assert "human† [B] (1 run)" in section(text, name)
+
+
 def test_a_change_is_shown_variant_by_variant(repository: Path) -> None:
     scripted = "BC (ST), scripted experts"
     write_run(repository, "bc-human", "BC (ST)", "MoveToCorner", 0, 0.5)
@@ -211,12 +236,13 @@ def test_the_leaderboards_evaluations_are_ranked_and_shown_nowhere_else(
     before = made(repository)
     write_leaderboard_entry(folder, 0.25)
     text = made(repository)
-    ((*row, demo, test_all, _, gap_rank),) = lines(text, "leaderboard", "1")
-    assert row[:5] == ["1", "BC (ST)†", "P", "10 of each task (dataset)", "3"]
+    ((*row, demo, test_all, _, gap_rank),) = lines(text, "leaderboard", "not ranked")
+    few = "not ranked: fewer than 3 runs"
+    assert row[:5] == [few, "BC (ST)†", "P", "10 of each task (dataset)", "3"]
     assert row[5:] == ["demonstrations", "rollouts of 1 run"]
     assert demo.startswith("0.25 [")
     assert test_all.startswith("0.25 [")
-    assert gap_rank == "1"
+    assert gap_rank == "–"
     assert text.replace(section(text, "leaderboard"), section(before, "leaderboard")) == before
 
 

@@ -74,6 +74,17 @@ def exaggerate(folder: Path) -> None:
     described(folder)
 
 
+def end_the_process(folder: Path) -> None:
+    (folder / "policy.py").write_text("import os\n\nos._exit(0)\n")
+    exaggerate(folder)
+
+
+def score_by_another_rule(folder: Path) -> None:
+    path = folder / SCORES
+    path.write_text(path.read_text().rpartition(",")[0] + ",0.125\n")
+    described(folder)
+
+
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
@@ -86,6 +97,8 @@ def exaggerate(folder: Path) -> None:
         (break_the_protocol, "runs/0: nudge 0, expected 1e-09"),
         (damage_the_schema, "runs/0: "),
         (exaggerate, "runs/0: not confirmed"),
+        (end_the_process, "runs/0: magical verify ended without a result"),
+        (score_by_another_rule, "expected equal scores by both rules"),
     ],
 )
 def test_a_wrong_entry_is_refused_with_the_reason(

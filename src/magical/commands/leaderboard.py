@@ -51,11 +51,11 @@ def run(args: argparse.Namespace) -> int:
             continue
         rows = [
             (
-                "reference" if row.is_reference else row.rank,
+                row.place,
                 row.method,
                 row.statements.mark + interval_text(row.test_all),
                 interval_text(row.gap),
-                "–" if row.is_reference else row.gap_rank,
+                row.gap_place,
                 row.unit,
                 row.learning_class or "–",
                 ", ".join(row.used) or "–",
@@ -80,11 +80,11 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _plain(row: "Standing") -> dict[str, Any]:
-    """A method's standing as plain data; a reference has no ranks, and NaN becomes `None`."""
+    """A method's standing as plain data; ranks are `None` if it has none, and so is NaN."""
     return {
         "method": row.method,
-        "rank": None if row.is_reference else row.rank,
-        "rank_by_gap": None if row.is_reference else row.gap_rank,
+        "rank": row.rank if row.is_ranked else None,
+        "rank_by_gap": row.gap_rank if row.is_ranked else None,
         "test_all": plain_interval(row.test_all),
         "demo": plain_interval(row.demo),
         "gap": plain_interval(row.gap),

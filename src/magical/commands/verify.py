@@ -4,7 +4,8 @@ ENTRY is a folder with scores.csv and entry.json. The policy is that of the run 
 entry names or lies in, a built-in one, or --policy. The scores must be equal, unless the entry
 states that it was made on another machine or with other versions: then small differences in a
 network's arithmetic may change single rollouts, and the mean scores, over all rollouts and in each
-environment, are compared instead.
+environment, are compared instead. In all rollouts, both scores must be equal on tasks whose two
+scoring rules are the same. This finds mistakes; it does not show that a policy is honest.
 """
 
 import argparse
@@ -57,7 +58,11 @@ def run(args: argparse.Namespace) -> int:
             workers=args.workers,
         )
     _print(found)
-    counts = {"rollouts": len(found.recorded), "equal": found.equal}
+    counts = {
+        "rollouts": len(found.recorded),
+        "total": len(entry.scores),
+        "equal": found.equal,
+    }
     print_json(args, {"confirmed": found.confirmed, **counts, "exact": found.exact})
     return 0 if found.confirmed else 1
 
@@ -77,7 +82,18 @@ def _print(found: "Verification") -> None:
         for env_id, part in found.by_environment().items()
     ]
     print_table(("task", "variant", "rollouts", "equal", "recorded mean", "mean now"), rows)
+    print(_sample(found))
     print(_verdict(found))
+
+
+def _sample(found: "Verification") -> str:
+    """How many rollouts were run again, and what that can find."""
+    if found.share == 1.0:
+        return f"all {len(found.recorded)} rollouts run again"
+    text = f"{len(found.recorded)} of {found.total} rollouts run again"
+    if not found.exact:
+        return text
+    return f"{text}: one altered score is found with probability {found.share:.2f}"
 
 
 def _verdict(found: "Verification") -> str:

@@ -35,6 +35,8 @@ ACTION_SPACE = "action_space"  # in the details, unless it is the discrete one
 TRAINING_SEED = "training_seed"  # in the details of a trained policy, if known
 DATE = "date"  # in the details: when the evaluation began, ISO 8601
 TRAINING = ("demonstrations", "num_demos", "pretrained_on")  # in the details of some runs
+LEARNED_FROM = "learned_from"  # in the details: what the policy was made from
+LOOKS = "looks"  # in the details: how often test variants were evaluated before
 SCORES_FILE, ENTRY_FILE = "scores.csv", "entry.json"
 
 Text = Annotated[str, Meta(max_length=200)]
@@ -149,7 +151,9 @@ class Entry(_EntryFile):
         """Write both files.
 
         If the folder already holds an entry of the same method and policy, its details that this
-        one lacks are kept. Raises what `merged` raises, before anything is written.
+        one lacks are kept, but not what it learned from, which only this evaluation can know; of
+        two numbers of looks the larger counts. Raises what `merged` raises, before anything is
+        written.
         """
         text = self.merged(folder)._json(Path(folder) / ENTRY_FILE)
         with write_atomically(Path(folder) / ENTRY_FILE) as file:
@@ -166,7 +170,11 @@ class Entry(_EntryFile):
             TypeError: details that cannot be written as JSON.
         """
         target = Path(folder) / ENTRY_FILE
-        merged = replace(self, details=self._kept(target) | self.details)
+        kept = self._kept(target)
+        numbers = [stated.get(LOOKS) for stated in (kept, self.details)]
+        looks = [number for number in numbers if isinstance(number, int)]
+        most = {LOOKS: max(looks)} if len(looks) > 1 else {}
+        merged = replace(self, details=kept | self.details | most)
         merged._json(target)
         return merged
 
@@ -189,7 +197,9 @@ class Entry(_EntryFile):
         if old.method != self.method or len(policies) > 1:
             return {}
         is_run = "algorithm" in self.details  # whose training was recorded anew
-        outdated = {ACTION_SPACE, *(TRAINING if is_run else ())}
+        outdated = {ACTION_SPACE, LEARNED_FROM, *(TRAINING if is_run else ())}
+        if old.details.get(LOOKS) == 0:  # true of that evaluation alone
+            outdated.add(LOOKS)
         return {name: value for name, value in old.details.items() if name not in outdated}
 
 

@@ -1,4 +1,8 @@
-"""Verifying an entry's scores by running a sample of its rollouts again."""
+"""Verifying an entry's scores by running a sample of its rollouts again.
+
+This finds mistakes. A policy that was made to deceive, such as one that knows the public seeds'
+scenes, does again what it did before.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -8,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical.envs import EnvId
-from magical.errors import PolicyError
+from magical.errors import PolicyError, ScoresError
 from magical.evaluation.entry import Entry
 from magical.evaluation.intervals import CONFIDENCE, Interval, t_interval
 from magical.evaluation.policy import NO_OBSERVATION, Policy, observed
@@ -30,11 +34,22 @@ class Verification:
         exact: whether all must be equal. They must unless a network acts on another machine or with
             other versions than the entry states: then the last bit of its arithmetic may change
             sampled actions, and contact amplifies that.
+        total: the number of rollouts in the entry; 0 if all were run again.
     """
 
     recorded: Sequence[RolloutScore]
     again: Sequence[RolloutScore]
     exact: bool
+    total: int = 0
+
+    @property
+    def share(self) -> float:
+        """The share of the entry's rollouts that were run again.
+
+        It is also the probability that one altered score would have been found, if all must be
+        equal.
+        """
+        return len(self.recorded) / self.total if self.total else 1.0
 
     @property
     def changes(self) -> NDArray[np.float64]:
@@ -96,7 +111,7 @@ def verify(
     elsewhere: bool = False,
     workers: int | None = None,
 ) -> Verification:
-    """Run a sample of an entry's rollouts again.
+    """Run a sample of an entry's rollouts again, after checking both scores of all of them.
 
     Args:
         entry: the recorded scores.
@@ -108,7 +123,9 @@ def verify(
 
     Raises:
         PolicyError: the policy is not shown what the entry says.
+        ScoresError: the two scores of a rollout differ on a task whose rules are the same.
     """
+    _check_rules(entry)
     evaluation = entry.evaluation(policy)
     _check_policy(entry, policy, evaluation)
     again: list[RolloutScore] = []
@@ -123,7 +140,18 @@ def verify(
                 again += scores
     known = {(row.env_id, row.rollout): row for row in entry.scores}
     recorded = [known[row.env_id, row.rollout] for row in again]
-    return Verification(recorded, again, not elsewhere or getattr(policy, "exact", False))
+    exact = not elsewhere or getattr(policy, "exact", False)
+    return Verification(recorded, again, exact, len(entry.scores))
+
+
+def _check_rules(entry: Entry) -> None:
+    """Raise `ScoresError` if a rollout's scores differ although its task has only one rule."""
+    for env_id, rollout, _, score, published in entry.scores:
+        if env_id.task_spec.published_score_fn is None and score != published:
+            raise ScoresError(
+                f"{env_id}, rollout {rollout}: expected equal scores by both rules, which are the "
+                f"same on this task, found {score} and {published}"
+            )
 
 
 def is_elsewhere(

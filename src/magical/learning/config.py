@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Self, get_args, get_origin
 from magical.envs.action_spec import ActionSpaceName
 from magical.errors import InvalidConfigError, PluginError, UnknownNameError
 from magical.learning.augmentation.names import Augmentations, parse_augmentations
-from magical.learning.networks import is_pretrained, network_names
+from magical.learning.networks import network_names, sources_of
 from magical.learning.settings import (
     DEVICES,
     MAX_THREADS,
@@ -33,7 +33,7 @@ from magical.messages import quoted
 from magical.observe import PRESETS, STATE, ObservationSpec, make_spec
 from magical.observe.presets import GROUP
 from magical.plugins import is_plugin
-from magical.runs.sources import DEMONSTRATIONS, EXTRA_DATA, LEARNED_FROM, NUM_DEMOS
+from magical.runs.sources import DEMONSTRATIONS, LEARNED_FROM, NUM_DEMOS
 from magical.tasks import get_task
 
 APPENDIX, PUBLISHED = "appendix", "published"
@@ -165,8 +165,7 @@ class Config(Settings):
         """What the run learns from, in the terms of `magical.runs.sources`."""
         networks = self.part(EncoderSettings)
         demonstrations = (DEMONSTRATIONS,) if self.part(DemonstrationSettings) else ()
-        pretrained = networks is not None and is_pretrained(networks.network)
-        return (*demonstrations, *((EXTRA_DATA,) if pretrained else ()))
+        return (*demonstrations, *(sources_of(networks.network) if networks else ()))
 
     @property
     def training_details(self) -> dict[str, Any]:

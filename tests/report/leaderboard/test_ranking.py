@@ -29,12 +29,18 @@ def run(
     return Result(Path(method), make_entry(method, scores, nudge=1e-9, details=details, **fields))
 
 
+def thrice(*results: Result) -> list[Result]:
+    """As many runs as a rank needs."""
+    return [result for result in results for _ in range(3)]
+
+
 def test_methods_are_ranked_by_test_all_and_by_gap() -> None:
     results = [
-        run("low", 0.3, 0.2),
+        *thrice(run("low", 0.3, 0.2)),
         run("high", 0.81, 0.6),
-        run("flat", 0.5, 0.5),
+        *thrice(run("flat", 0.5, 0.5)),
         run("high", 0.79, 0.6),
+        run("high", 0.80, 0.6),
     ]
     everything, board = make_boards(results)
     assert everything.name == ALL_TASKS
@@ -46,11 +52,36 @@ def test_methods_are_ranked_by_test_all_and_by_gap() -> None:
         ("low", 3, 2),
     ]
     high = board.standings[0]
-    # Two runs: the gaps 0.21 and 0.19 have the standard deviation 0.01 sqrt(2); t(1) = 12.706205.
-    assert high.gap == pytest.approx((0.2, 0.2 - 0.12706205, 0.2 + 0.12706205))
-    assert high.test_all == pytest.approx((0.6, 0.6, 0.6))
-    assert high.unit == "2 runs"
-    assert board.standings[1].unit == "rollouts of 1 run"
+    # Three runs: the gaps 0.21, 0.19 and 0.20 have the standard deviation 0.01; t(2) = 4.302653.
+    half = 4.302653 * 0.01 / 3**0.5
+    assert high.gap == pytest.approx((0.2, 0.2 - half, 0.2 + half))
+    assert high.test_all.value == pytest.approx(0.6)
+    assert high.unit == "3 runs"
+
+
+def test_methods_of_fewer_than_three_runs_come_last_without_a_rank() -> None:
+    results = [
+        run("two runs", 1.0, 0.9),
+        run("two runs", 1.0, 0.8),
+        run("one run", 1.0, 1.0),
+        *thrice(run("three runs", 0.5, 0.4), run("four runs", 0.6, 0.3)),
+        run("four runs", 0.6, 0.3),
+        run("learned nothing", 0.6, 0.35, details={"learned_from": []}),
+    ]
+    standings = make_boards(results)[1].standings
+    few = "not ranked: fewer than 3 runs"
+    assert [(row.method, row.place, row.gap_place) for row in standings] == [
+        ("three runs", "1", "1"),
+        ("learned nothing", "2", "2"),
+        ("four runs", "3", "3"),
+        ("one run", few, "–"),
+        ("two runs", few, "–"),
+    ]
+    assert standings[-1].unit.endswith("2 runs")
+    everywhere = [task for task in TASKS if task != "MakeLine"]
+    results = [*thrice(run("m", 0.5, 0.4, everywhere)), run("m", 0.5, 0.4)]
+    places = {board.name: board.standings[0].place for board in make_boards(results)}
+    assert (places[ALL_TASKS], places["MakeLine"], places["FindDupe"]) == (few, few, "1")
 
 
 def test_another_registered_task_is_not_one_of_the_paper(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -63,7 +94,8 @@ def test_another_registered_task_is_not_one_of_the_paper(monkeypatch: pytest.Mon
 def test_what_learned_nothing_from_true_states_is_a_reference_without_a_rank() -> None:
     expert = run("expert", 1.0, 0.9, details={"learned_from": []}, privileged=True)
     learned = run("learned from states", 1.0, 0.8, privileged=True)
-    board = make_boards([run("b", 0.9, 0.5), expert, learned, run("a", 1.0, 0.7)])[1]
+    others = thrice(run("b", 0.9, 0.5), learned, run("a", 1.0, 0.7))
+    board = make_boards([*others, expert])[1]
     assert [(row.method, row.is_reference) for row in board.standings] == [
         ("expert", True),
         ("learned from states", False),
@@ -74,10 +106,10 @@ def test_what_learned_nothing_from_true_states_is_a_reference_without_a_rank() -
 
 
 def test_equal_scores_share_a_rank() -> None:
-    board = make_boards([run("b", 0.5, 0.5), run("a", 0.6, 0.5), run("c", 0.4, 0.4)])[1]
+    board = make_boards(thrice(run("b", 0.5, 0.5), run("a", 0.6, 0.5), run("c", 0.4, 0.4)))[1]
     assert [(row.method, row.rank) for row in board.standings] == [("b", 1), ("a", 1), ("c", 3)]
-    runs = [run("two runs", 0.5, mean) for mean in (0.1, 0.2)]  # whose mean is rounded
-    board = make_boards([run("one run", 0.5, 0.15), *runs])[1]
+    runs = thrice(*(run("six runs", 0.5, mean) for mean in (0.1, 0.2)))  # whose mean is rounded
+    board = make_boards([*thrice(run("three runs", 0.5, 0.15)), *runs])[1]
     assert [row.rank for row in board.standings] == [1, 1]
 
 
@@ -142,7 +174,8 @@ def test_methods_with_a_prior_made_for_the_benchmark_are_ranked_apart() -> None:
         run(name, 0.9, score, list(TASKS), details=details)
         for name, score in (("a", 0.8), ("b", 1))
     ]
-    boards = {board.name: board for board in make_boards([*prior, run("c", 0.9, 0.1, list(TASKS))])}
+    results = thrice(*prior, run("c", 0.9, 0.1, list(TASKS)))
+    boards = {board.name: board for board in make_boards(results)}
     for name in (ALL_TASKS, "MakeLine"):
         assert [(row.method, row.rank) for row in boards[name].standings] == [("c", 1)]
         apart = [(r.method, r.rank, r.learning_class) for r in boards[name + WITH_PRIOR].standings]

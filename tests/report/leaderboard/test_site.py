@@ -74,6 +74,7 @@ def test_the_boards_are_given_as_json(entries: Path, capsys: pytest.CaptureFixtu
     assert found["boards"]["All tasks"] == []
     first, second = found["boards"]["MoveToRegion"]
     assert (first["method"], first["rank"], first["test_all"][0]) == ("C", 1, 1.0)
+    assert (second["rank"], second["rank_by_gap"]) == (None, None)  # one run that learned
     assert second["used"] == ["demonstrations"]
     assert (second["class"], second["looks"]) == ("P", 0)
     assert len(found["rejected"]) == 2

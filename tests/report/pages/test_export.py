@@ -59,6 +59,15 @@ def test_names_are_no_formulas_of_a_spreadsheet(
     assert (row["method"], row["score"]) == (f"'{name}", "0.25")
 
 
+def test_csv_has_looks_and_class(write_entry: WriteEntry, tmp_path: Path) -> None:
+    details = {"learned_from": ["demonstrations", "simulator"], "looks": 3}
+    folder = write_entry("run", "m", {"MakeLine-Demo": [1.0]}, details=details)
+    out = tmp_path / "table.csv"
+    assert cli.main(["report", str(folder), "--out", str(out)]) == 0
+    (row,) = csv.DictReader(out.read_text().splitlines())
+    assert (row["method"], row["class"], row["looks"]) == ("m", "X", "3")
+
+
 def test_scores_with_another_horizon_stand_beside_no_published_ones(
     write_entry: WriteEntry, tmp_path: Path
 ) -> None:
@@ -113,6 +122,7 @@ def test_latex_compiles(results: Path, tmp_path: Path) -> None:
 
 
 def test_tables_are_escaped() -> None:
+    assert escape_latex("m† [B]") == r"m\dag{} {[}B{]}"
     table = TextTable("T", ("a", "b"), [("x", "0.50 [0.40, 0.60]")], "note")
     assert markdown(table).splitlines()[2:5] == [
         "| a | b |",

@@ -6,12 +6,16 @@ import numpy as np
 import pytest
 
 from magical.evaluation.statistics import mean
+from magical.report.found.statements import MARKS
+from magical.report.scores.methods import compared_methods
+from magical.report.scores.summaries import aggregate_table, gap_table, improvement_table
 from magical.report.scores.tables import (
     BESIDE,
     ONE_RUN,
     RUNS_APART,
     Cell,
     ScoreTable,
+    TextTable,
     entry_tasks,
     task_table,
 )
@@ -43,6 +47,28 @@ def test_runs_of_a_method_share_a_row() -> None:
     assert row.cells["Demo"] == Cell(0.75, "± 0.25")
     assert row.note == "mean ± std over 2 runs"
     assert table.note == "Scored by the appendix's rule."
+
+
+def test_rows_are_marked_with_looks_and_class() -> None:
+    scores = {"MakeLine-Demo": [1.0], "MakeLine-TestAll": [0.5]}
+    prior = {"learned_from": ["demonstrations", "benchmark prior"], "looks": 20}
+    runs = [
+        entry("a", scores, details=prior),
+        entry("a", scores, details={"learned_from": ["demonstrations"], "looks": 0}),
+        entry("b", scores, details={"learned_from": ["demonstrations"]}),
+        entry("c", scores, details={"learned_from": ["interaction"]}),
+        entry("d", scores, details={"learned_from": ["demonstrations"]}, privileged=True),
+        entry("e", scores, details={"learned_from": "magic"}),
+    ]
+    table = task_table("MakeLine", runs)
+    expected = ["a† [B]", "b [P]", "c", "d", "e"]
+    assert [row.label.partition(" (")[0] for row in table.rows] == expected
+    assert table.note.endswith(MARKS)
+    methods = compared_methods(runs)
+    for found in (aggregate_table(methods, runs), gap_table(methods), improvement_table(methods)):
+        assert found is not None
+        text = found if isinstance(found, TextTable) else found.as_text()
+        assert [row[0].partition(" (")[0] for row in text.rows] == expected
 
 
 def test_with_published_rows_all_are_scored_by_the_published_rule() -> None:

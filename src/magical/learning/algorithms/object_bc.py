@@ -33,7 +33,7 @@ from magical.learning.objects.data import (
 )
 from magical.learning.objects.goals import BORDER, CANDIDATES, REFITTED, GoalModel, goal_losses
 from magical.learning.objects.hindsight import ROBOT_TARGET
-from magical.learning.objects.parser import MAX_BLOCKS
+from magical.learning.objects.parser import MAX_BLOCKS, PARSER_SOURCES
 from magical.learning.objects.perception import PARSER, PERCEPTIONS, get_perception
 from magical.learning.objects.table import ObjectTable, to_table
 from magical.learning.running.averages import Averages
@@ -44,7 +44,7 @@ from magical.learning.running.run import Run
 from magical.learning.running.streams import Purpose, seeded_init, stream
 from magical.learning.settings import FRACTION, NOT_NEGATIVE, POSITIVE, option
 from magical.observe.pixels import CHANNELS, STACK
-from magical.runs.sources import BENCHMARK_PRIOR, OBJECT_PARSER
+from magical.runs.sources import BENCHMARK_PRIOR
 from magical.scene.actions import MIRRORED_ACTIONS
 from magical.tasks import get_task
 
@@ -119,8 +119,8 @@ class ObjectBCConfig(Config):
 
     @property
     def learned_from(self) -> tuple[str, ...]:
-        """See `Config`; relations suit these tasks, and the parser was fitted on TestAll."""
-        return (*super().learned_from, OBJECT_PARSER, BENCHMARK_PRIOR)
+        """See `Config`; the relations, too, were chosen for these tasks."""
+        return (*super().learned_from, *PARSER_SOURCES, BENCHMARK_PRIOR)
 
     @property
     def num_updates(self) -> int:

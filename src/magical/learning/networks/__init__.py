@@ -9,7 +9,9 @@ Each file defines `NETWORK`, which has
 Other distributions provide an object or a module with these two through entry points of the group
 `magical.networks`. Any other is named by `module:NAME`, an encoder from the library timm by
 `timm:MODEL`. Pre-trained architectures also have `PRETRAINED`, which is true, and those that accept
-only one range of pixels have `PIXEL_RANGE`: see `magical.learning.encoders`.
+only one range of pixels have `PIXEL_RANGE`: see `magical.learning.encoders`. One that was made from
+more than a run's data has `LEARNED_FROM`, terms of `magical.runs.sources` that the run's entries
+state, such as those of `magical.learning.objects.parser`.
 
 `magical.learning.models.Trunk` puts the parts together and adds what all architectures share: the
 action input of discriminators, and linear layers only for state vectors.
@@ -18,6 +20,7 @@ action input of discriminators, and linear layers only for state vectors.
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from magical.plugins import Registry, is_plugin
+from magical.runs.sources import EXTRA_DATA
 
 if TYPE_CHECKING:
     from torch import nn
@@ -67,6 +70,14 @@ def find_network(name: str) -> Architecture:
     return _NETWORKS.get(name)
 
 
-def is_pretrained(name: str) -> bool:
-    """Whether an architecture has pre-trained weights; raises what `find_network` raises."""
-    return is_plugin(GROUP, name) and getattr(find_network(name), "PRETRAINED", False)
+def sources_of(name: str) -> tuple[str, ...]:
+    """What an architecture was made from, beside a run's data, in the terms of `runs.sources`.
+
+    Its `LEARNED_FROM`, and extra data if it has pre-trained weights. Raises what `find_network`
+    raises.
+    """
+    if not is_plugin(GROUP, name):
+        return ()
+    network = find_network(name)
+    pretrained = (EXTRA_DATA,) if getattr(network, "PRETRAINED", False) else ()
+    return (*getattr(network, "LEARNED_FROM", ()), *pretrained)

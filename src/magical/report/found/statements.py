@@ -1,11 +1,17 @@
 """What entries state in their details in addition to their sources (docs/protocol.md)."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
+from magical.evaluation import Entry
 from magical.messages import quoted
+from magical.runs.sources import learned_from, learning_class
 
 LOOKS = "looks"
+MARKS = (
+    " After a method's name, † says that test variants were evaluated while it was designed, and "
+    "the letter in brackets is its class (docs/protocol.md)."
+)
 
 
 class Statements(NamedTuple):
@@ -38,6 +44,26 @@ def gather_statements(details: Iterable[Mapping[str, Any]]) -> Statements:
     demonstrations = [str(e["demonstrations"]) for e in entries if "demonstrations" in e]
     looks = [found for entry in entries if (found := stated_looks(entry)) is not None]
     return Statements("; ".join(dict.fromkeys(demonstrations)), max(looks, default=None))
+
+
+def marks(looks: object, row_class: str) -> str:
+    """What follows a method's name in tables: † for looks above 0, then its class in brackets."""
+    return f"{'†' if looks else ''}{f' [{row_class}]' if row_class else ''}"
+
+
+def marked(label: str, runs: Iterable[Entry]) -> str:
+    """A row's label with its `marks`."""
+    entries = list(runs)
+    return label + marks(any(entry.details.get(LOOKS) for entry in entries), class_of(entries))
+
+
+def class_of(runs: Sequence[Entry]) -> str:
+    """The class of a row's entries together; empty if one does not state what it learned from."""
+    try:
+        used = {name for entry in runs for name in learned_from(entry.details)}
+    except ValueError:
+        return ""
+    return "" if any(entry.privileged for entry in runs) else learning_class(used)
 
 
 def stated_looks(details: Mapping[str, Any]) -> int | None:

@@ -28,6 +28,7 @@ WITH_PRIOR = ", with a benchmark prior"  # suffix of a board's name
 DEMOS = 10  # demonstrations of a held-out task, without pre-training
 FINE_TUNED = (1, 5, 10)  # demonstrations of a held-out task, after pre-training
 STATE = "state"  # listed with an entry's sources if its policy is privileged
+MIN_RUNS = 3  # of a method that learned something, on every task, for a rank
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +42,7 @@ class Standing:
     gap: Interval  # Demo's mean minus TestAll's
     used: tuple[str, ...]  # what it learned from, and `state` for a privileged policy
     statements: Statements
+    runs: int  # the fewest on any of the board's tasks
     rank: int = 0  # by TestAll, 1 for the highest; the same for equal scores
     gap_rank: int = 0  # by the gap, 1 for the lowest
 
@@ -53,6 +55,23 @@ class Standing:
     def is_reference(self) -> bool:
         """Whether it learned nothing and sees the true state, like the scripted experts."""
         return self.used == (STATE,)
+
+    @property
+    def is_ranked(self) -> bool:
+        """Whether it has enough runs; what learned nothing has no training to repeat."""
+        return not self.is_reference and (not self.used or self.runs >= MIN_RUNS)
+
+    @property
+    def place(self) -> str:
+        """The rank, or why there is none, as text."""
+        if self.is_reference:
+            return "reference"
+        return str(self.rank) if self.is_ranked else f"not ranked: fewer than {MIN_RUNS} runs"
+
+    @property
+    def gap_place(self) -> str:
+        """The rank by the gap as text; a dash if there is none."""
+        return str(self.gap_rank) if self.is_ranked else "–"
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,31 +166,39 @@ def _standing(method: ComparedMethod, runs: Sequence[Result]) -> Standing:
     gap = method.generalisation_gap()
     assert gap is not None  # entries with all variants have Demo and TestAll
     return Standing(
-        method.name,
+        runs[0].entry.method,
         method.unit,
         mean(TEST_ALL),
         mean(DEMO),
         gap,
         used=_used(runs[0]),  # the same in all runs
         statements=gather_statements(run.entry.details for run in runs),
+        runs=method.fewest_runs,
     )
 
 
 def _ranked(standings: Sequence[Standing]) -> list[Standing]:
     """The standings with their ranks, sorted by TestAll, then by the gap, then by name.
 
-    References get the rank that they would have, but do not affect the ranks of others.
+    References get the rank that they would have, but do not affect the ranks of others. Nor do
+    methods of too few runs, which come last.
     """
-    others = [row for row in standings if not row.is_reference]
-    ranked = [
-        replace(
-            row,
-            rank=_rank(row, others, lambda other: -other.test_all.value),
-            gap_rank=_rank(row, others, lambda other: other.gap.value),
-        )
-        for row in standings
-    ]
-    return sorted(ranked, key=lambda r: (r.rank, not r.is_reference, r.gap_rank, r.method))
+    ranked = [row for row in standings if row.is_ranked]
+    few = [row for row in standings if not (row.is_ranked or row.is_reference)]
+
+    def order(row: Standing) -> tuple[int, bool, int, str]:
+        return row.rank, not row.is_reference, row.gap_rank, row.method
+
+    first = [_with_ranks(row, ranked) for row in standings if row not in few]
+    return sorted(first, key=order) + sorted((_with_ranks(row, few) for row in few), key=order)
+
+
+def _with_ranks(row: Standing, others: Sequence[Standing]) -> Standing:
+    return replace(
+        row,
+        rank=_rank(row, others, lambda other: -other.test_all.value),
+        gap_rank=_rank(row, others, lambda other: other.gap.value),
+    )
 
 
 def _rank(row: Standing, standings: Sequence[Standing], key: Callable[[Standing], float]) -> int:

@@ -16,6 +16,7 @@ from magical.evaluation import Entry, by_variant, published_score, published_tas
 from magical.evaluation.intervals import rollout_mean
 from magical.evaluation.statistics import mean, over_runs
 from magical.report.found.search import Found
+from magical.report.found.statements import LOOKS, class_of
 from magical.report.pages.page import write_text
 from magical.report.scores.differences import RULE, counterparts, differences
 from magical.report.scores.methods import compared_methods
@@ -122,6 +123,7 @@ _LATEX = {
     "|": r"\textbar{}",  # a dash in LaTeX's default encoding
     "±": r"$\pm$",
     "−": "$-$",
+    "†": r"\dag{}",
     "–": "--",
     "<": "$<$",
     ">": "$>$",
@@ -176,7 +178,18 @@ def _figures(task: str, variant: str, runs: Sequence[Entry], theirs: str | None)
         name: None if isinstance(number, float) and math.isnan(number) else number
         for name, number in numbers.items()
     }
-    return {"runs": len(cells), "interval_over": "runs" if several else "rollouts", **known}
+    return {
+        "runs": len(cells),
+        "interval_over": "runs" if several else "rollouts",
+        **known,
+        **_stated(runs),
+    }
+
+
+def _stated(runs: Sequence[Entry]) -> dict[str, Any]:
+    """The class of the runs, and the largest number of looks that one of them states."""
+    looks = [number for run in runs if isinstance(number := run.details.get(LOOKS), int)]
+    return {"class": class_of(runs) or None, "looks": max(looks, default=None)}
 
 
 def _text(value: float | str | None) -> str:

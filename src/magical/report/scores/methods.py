@@ -20,13 +20,14 @@ from magical.evaluation.statistics import (
     run_means,
 )
 from magical.report.found.rows import by_row
+from magical.report.found.statements import marked
 
 
 @dataclass(frozen=True, slots=True)
 class ComparedMethod:
     """One method's runs on the compared environments."""
 
-    name: str
+    name: str  # with its marks
     runs: Sequence[Entry]
     env_ids: Sequence[EnvId]
     means: Floats  # (runs, environments); NaN where a run was not evaluated
@@ -35,6 +36,11 @@ class ComparedMethod:
     def several(self) -> bool:
         """Whether any environment has several runs."""
         return bool(self._counts.max() > 1)
+
+    @property
+    def fewest_runs(self) -> int:
+        """The smallest number of runs in any environment."""
+        return int(self._counts.min())
 
     @property
     def unit(self) -> str:
@@ -98,7 +104,11 @@ def compared_rows(rows: Mapping[str, Sequence[Entry]]) -> list[ComparedMethod]:
     """As `compared_methods`, for rows given by their labels."""
     found = [_environments(runs) for runs in rows.values()]
     shared = [env_id for env_id in (found[0] if found else []) if all(env_id in i for i in found)]
-    return [_method(name, group, shared) for name, group in rows.items()] if shared else []
+    return (
+        [_method(marked(name, group), group, shared) for name, group in rows.items()]
+        if shared
+        else []
+    )
 
 
 def _method(name: str, group: Sequence[Entry], env_ids: Sequence[EnvId]) -> ComparedMethod:

@@ -16,6 +16,7 @@ from magical.evaluation.statistics import (
     performance_profile,
     probability_of_improvement,
 )
+from magical.report.found.statements import MARKS
 from magical.report.scores.methods import ComparedMethod
 from magical.report.scores.tables import Cell, Row, ScoreTable, TextTable
 from magical.tasks import VARIANTS
@@ -28,7 +29,7 @@ NOTE = (
     "95% intervals over training runs; those over the rollouts of a single run do not include the "
     "spread between training runs. Interquartile mean and optimality gap have no interval for a "
     "single run. If some environments have several runs and others only one, there is no interval."
-)
+) + MARKS
 
 
 def interval_text(interval: Interval | None) -> str:

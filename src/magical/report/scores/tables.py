@@ -11,6 +11,7 @@ from magical.evaluation.intervals import Interval, rollout_mean
 from magical.evaluation.published import PUBLISHED_RUNS
 from magical.evaluation.statistics import over_runs
 from magical.report.found.rows import by_row
+from magical.report.found.statements import MARKS, marked
 from magical.report.scores.differences import (
     RULE,
     counterparts,
@@ -123,7 +124,8 @@ def task_table(task: str, entries: Iterable[Entry], published: Iterable[str] = (
     rule = RULE if compared else "score"
     rows = [_method_row(found, row, group, rule) for row, group in runs.items()]
     if compared:
-        rows = [_beside(row, found, runs[row.label], theirs) for row in rows] + published_rows
+        pairs = zip(rows, runs.values(), strict=True)
+        rows = [_beside(row, found, group, theirs) for row, group in pairs] + published_rows
     variants = tuple(map(short_variant, found.variants))
     kept = tuple(row for row in rows if row.cells)
     one_run = any(len(group) == 1 for group in runs.values())
@@ -132,6 +134,7 @@ def task_table(task: str, entries: Iterable[Entry], published: Iterable[str] = (
     note += _left_out_note(found, other) if methods and other else ""
     note += BESIDE if any(cell.difference for row in kept for cell in row.cells.values()) else ""
     note += ONE_RUN if one_run else ""
+    note += MARKS if any(marked("", group) for group in runs.values()) else ""
     note += RUNS_APART if any(cell.are_apart for row in kept for cell in row.cells.values()) else ""
     return ScoreTable(task, variants, kept, note, compared)
 
@@ -176,7 +179,7 @@ def _method_row(task: Task, method: str, runs: Sequence[Entry], rule: str) -> Ro
     note = (
         f"mean ± std over {len(runs)} runs" if len(runs) > 1 else "mean, 95% interval over rollouts"
     )
-    return Row(method, cells, note)
+    return Row(marked(method, runs), cells, note)
 
 
 def _beside(row: Row, task: Task, runs: Sequence[Entry], theirs: Mapping[str, str]) -> Row:
