@@ -67,5 +67,5 @@ def test_blocks_at_one_pose_overlap(shape: Shape) -> None:
     rng = np.random.default_rng(0)
     for x, y, angle in rng.uniform((-0.7, -0.7, -np.pi), (0.7, -0.4, np.pi), (100, 3)):
         block = Block(shape, Colour.RED, Pose(x, y, angle))
-        with pytest.raises(InvalidSceneError, match="block 0 .* and block 1 .* overlap"):
+        with pytest.raises(InvalidSceneError, match=r"block 0 .* and block 1 .* overlap"):
             validate_scene(replace(EMPTY, blocks=(block, block)))
