@@ -19,14 +19,19 @@ from magical.tasks import get_task
 
 @dataclass(frozen=True, slots=True)
 class ExpertEpisode:
-    """One episode: its initial scene and dynamics, the actions, and all poses."""
+    """One episode: its initial scene and dynamics, the actions, and all poses and velocities."""
 
     scene: Scene
     dynamics: Dynamics
     actions: NDArray[np.int64]  # (T,), executed
     expert_actions: NDArray[np.int64]  # (T,), the expert's; the same unless perturbed
-    poses: NDArray[np.float64]  # (T + 1, bodies, 3), rows as in `Poses`
+    bodies: NDArray[np.float64]  # (T + 1, bodies, 6): poses and velocities, rows as in `Poses`
     score: float  # of the last poses, by the appendix's rule
+
+    @property
+    def poses(self) -> NDArray[np.float64]:
+        """All poses, (T + 1, bodies, 3)."""
+        return self.bodies[:, :, :3]
 
 
 class EpisodeExpert:
@@ -87,9 +92,8 @@ def rollout(
         chosen.append((action, expert_action))
         tables.append(simulation.read())
     actions, expert_actions = np.array(chosen).T
-    path = np.stack(tables)[:, :, :3]
-    score = spec.score(scene, Poses(path[-1]))
-    return ExpertEpisode(scene, dynamics, actions, expert_actions, path, score)
+    score = spec.score(scene, Poses(tables[-1][:, :3]))
+    return ExpertEpisode(scene, dynamics, actions, expert_actions, np.stack(tables), score)
 
 
 def modules_of(task: str) -> list[str]:

@@ -110,7 +110,7 @@ def _network_chooser(policy: Any, env_id: EnvId, seed: int) -> Chooser:
     policy.reset(np.ones(1, np.bool_))
 
     def choose(state: State, executed: int | None) -> Proposal:
-        bodies = np.hstack([state.poses.bodies, state.velocities])
+        bodies = state.bodies
         if executed is None:
             observer.start(state.scene, bodies)
         else:
@@ -147,7 +147,7 @@ def roll_out(policies: Policies, number: int, env_id: EnvId, seed: int) -> Traje
         pass
     remarks = {"recorder": RECORDER, "policy": driver.name}
     return recorded_trajectory(
-        episode.env, episode.poses, seed=seed, demonstrator=driver.name, metadata=remarks
+        episode.env, episode.bodies, seed=seed, demonstrator=driver.name, metadata=remarks
     )
 
 

@@ -175,15 +175,15 @@ def collect_labelled(
         EpisodeExpert(expert_for(env_id.task, seed=seed))
         for env_id, seed in zip(envs.env_ids, seeds, strict=True)
     ]
-    taken, labels, poses = _act(envs, observations, policy, experts, beta, rng)
+    taken, labels, tables = _act(envs, observations, policy, experts, beta, rng)
     metadata = {"expert_share": beta, **remarks, **provenance()}
-    bodies = envs.bodies[1].tolist()
+    counts = envs.bodies[1].tolist()
     return [
         Trajectory.from_poses(
             envs.env_ids[row],
             state.scene,
             taken[: state.horizon, row],
-            poses[: state.horizon + 1, row, : bodies[row]],
+            tables[: state.horizon + 1, row, : counts[row]],
             dynamics=Dynamics.from_dict(envs.get_state(row)["dynamics"]),
             seed=seeds[row],
             demonstrator="dagger",
@@ -202,8 +202,8 @@ def _act(
     beta: float,
     rng: np.random.Generator,
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
-    """The actions taken (T, N), the experts' (T, N), and poses (T + 1, N, max bodies, 3)."""
-    poses, taken, labels = [envs.bodies[0][:, :, :3].copy()], [], []
+    """The actions taken (T, N), the experts' (T, N), and bodies (T + 1, N, max bodies, 6)."""
+    bodies, taken, labels = [envs.bodies[0].copy()], [], []
     active = np.ones(envs.num_envs, np.bool_)
     while active.any():
         expert_actions = [
@@ -217,10 +217,10 @@ def _act(
             expert.note_executed(action)
         observations, _, _, truncated, _ = envs.step(actions, active)
         active &= ~truncated
-        poses.append(envs.bodies[0][:, :, :3].copy())
+        bodies.append(envs.bodies[0].copy())
         taken.append(actions)
         labels.append(expert_actions)
-    return np.array(taken), np.array(labels), np.stack(poses)
+    return np.array(taken), np.array(labels), np.stack(bodies)
 
 
 def train_round(
