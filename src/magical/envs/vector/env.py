@@ -16,7 +16,7 @@ from magical.envs.action_spec import ActionSpaceName, action_spec
 from magical.envs.env import SCORE_KEYS, Instruction, MagicalEnv, names_attributes, not_picklable
 from magical.envs.episode import Reward
 from magical.envs.ids import EnvId, parse_env_id
-from magical.envs.saved_state import parse_state
+from magical.envs.saved_state import parse_state, warn_of_departure
 from magical.envs.vector.buffers import Copies, SharedMemory, VectorBuffers, VectorSpec
 from magical.envs.vector.checks import (
     check_timeout,
@@ -284,11 +284,12 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         with self._call("set_state"):
             row = range(self.num_envs)[index]
             task = self.env_ids[row].task_spec
-
-            def restore() -> Started:
-                return self._sub_envs.set_state(row, parse_state(state, task, self.action_spec))
-
-            self._start(self._exchange(restore, [row]))
+            ((_, scene, departure),) = self._exchange(
+                lambda: self._sub_envs.set_state(row, parse_state(state, task, self.action_spec)),
+                [row],
+            )
+            self._start([(row, scene)])
+            warn_of_departure(departure)
             return copy_arrays(select(self._buffers.observations, index))
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
