@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from magical.envs.vector.workers import defining_modules
 from magical.errors import InvalidTaskError
-from magical.experts.expert import Expert, expert_for
+from magical.experts.expert import Expert, expert_for, strategy_seed
 from magical.experts.goals import get_planner
 from magical.experts.memory import Memory, note_other_action
 from magical.experts.noise import perturbation
@@ -79,8 +79,8 @@ def rollout(
     spec, rng = get_task(task), np_random(seed)[0]
     scene, dynamics = spec.sample(variant, rng)
     spec.validate(scene)
-    expert = EpisodeExpert(expert_for(task, seed=seed, skill=skill))
-    random_actions = perturbation(perturb, rng.spawn(1)[0])  # the strategy uses the scene's numbers
+    expert = EpisodeExpert(expert_for(task, seed=strategy_seed(variant, seed), skill=skill))
+    random_actions = perturbation(perturb, rng.spawn(1)[0])
     simulation = Simulation(scene, dynamics)
     chosen, tables = [], [simulation.read()]
     for step in range(spec.horizon):

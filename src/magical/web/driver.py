@@ -16,7 +16,7 @@ from magical.envs.ids import EnvId
 from magical.errors import MagicalError, PolicyError
 from magical.evaluation.policy import observation_for
 from magical.evaluation.seeds import RolloutRng
-from magical.experts import EpisodeExpert, expert_for
+from magical.experts import EpisodeExpert, expert_for, strategy_seed
 from magical.observe import make_spec
 from magical.observe.arrays import map_arrays
 from magical.scene import State
@@ -94,7 +94,7 @@ class Driver:
 
 
 def _expert_chooser(env_id: EnvId, seed: int) -> Chooser:
-    expert = EpisodeExpert(expert_for(env_id.task, seed=seed))
+    expert = EpisodeExpert(expert_for(env_id.task, seed=strategy_seed(env_id.variant, seed)))
 
     def choose(state: State, executed: int | None) -> Proposal:
         if executed is not None:

@@ -33,7 +33,7 @@ from magical.envs.vector import MagicalVectorEnv
 from magical.errors import InvalidConfigError, RunFolderError
 from magical.evaluation import environments
 from magical.evaluation.policy import Policy
-from magical.experts import EpisodeExpert, expert_for, get_planner
+from magical.experts import EpisodeExpert, expert_for, get_planner, strategy_seed
 from magical.learning.algorithms import Algorithm
 from magical.learning.algorithms.bc import BCConfig, BCTrainer, CloningSettings, make_policy
 from magical.learning.config import IMAGE_OBSERVATIONS
@@ -172,7 +172,7 @@ def collect_labelled(
     observations, _ = envs.reset(seed=seeds)
     policy.reset(np.ones(count, np.bool_))
     experts = [
-        EpisodeExpert(expert_for(env_id.task, seed=seed))
+        EpisodeExpert(expert_for(env_id.task, seed=strategy_seed(env_id.variant, seed)))
         for env_id, seed in zip(envs.env_ids, seeds, strict=True)
     ]
     taken, labels, tables = _act(envs, observations, policy, experts, beta, rng)
