@@ -62,11 +62,13 @@ class Expert:
         Returns:
             The action's id, and the memory for the next call.
         """
-        memory = memory or Memory()
+        starts, memory = memory is None or state.step == 0, memory or Memory()
         if self.task.validate_fn(state.scene):
             return NOOP, memory
         action, memory = self._decide(StateView.from_state(state), memory)
         if self.noise is not None:
+            if starts:  # an action of another episode may still be held
+                self.noise.actions.steps_left = 0
             action = self.noise.actions.execute(action)
         return action, memory
 
