@@ -9,7 +9,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from magical.envs.action_spec import ActionSpaceName, action_spec
-from magical.envs.episode import Episode, Reward, Scores
+from magical.envs.episode import Episode, Reward, Scores, checked_paraphrase
 from magical.envs.ids import EnvId
 from magical.envs.keys import KEYS_TO_ACTION
 from magical.envs.saved_state import parse_state, warn_of_departure
@@ -70,7 +70,7 @@ class MagicalEnv(gym.Env[Any, Any]):
     Raises:
         UnknownNameError: there is no such task, variant, observation, reward, render mode,
             instruction or action space.
-        InvalidConfigError, ObservationError: an invalid horizon or observation.
+        InvalidConfigError, ObservationError: an invalid horizon, paraphrase or observation.
         MissingDependencyError: "human" without pygame.
     """
 
@@ -94,7 +94,8 @@ class MagicalEnv(gym.Env[Any, Any]):
         action_space: ActionSpaceName = "discrete",
     ) -> None:
         self.task: Task = get_task(task)
-        self._named, self._paraphrase = names_attributes(instruction), paraphrase
+        self._named = names_attributes(instruction)
+        self._paraphrase = checked_paraphrase(paraphrase)
         self.task.axes_of(variant)  # raises for a variant that the task lacks
         self.observation_spec = make_spec(observation, self.task)
         self._episode = Episode(self.task, variant, self.observation_spec, horizon, reward)

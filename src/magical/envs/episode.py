@@ -236,6 +236,13 @@ def checked_nudge(nudge: Any) -> float:
     return float(nudge)
 
 
+def checked_paraphrase(paraphrase: Any) -> int:
+    """The index of an instruction's wording; raises `InvalidConfigError`."""
+    if not isinstance(paraphrase, int | np.integer) or isinstance(paraphrase, bool):
+        raise InvalidConfigError(f"paraphrase: expected an integer, found {quoted(paraphrase)}")
+    return int(paraphrase)
+
+
 def _checked_score(task: Task, name: str, value: Any) -> float:
     """The score as a float; raises `InvalidScoreError`."""
     number = isinstance(value, float | int | np.number | np.bool_)
