@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from magical.demos import Dataset, Trajectory
 from magical.envs.seeds import episode_seed
-from magical.experts import Memory, StateView, expert_for
+from magical.experts import Memory, StateView, expert_for, strategy_seed
 from magical.experts.memory import note_motion, note_other_action
 from magical.physics import Simulation
 from magical.scene import Poses, Scene, State
@@ -47,7 +47,8 @@ def present(simulation: Simulation, scene: Scene, step: int, horizon: int) -> St
 
 def labels(trajectory: Trajectory, update: Update) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
     """The expert's labels (T,) along an episode, and whether each is a move of escape."""
-    expert, memory = expert_for(trajectory.task.name, seed=trajectory.seed), Memory()
+    seed = strategy_seed(trajectory.env_id.variant, trajectory.seed)
+    expert, memory = expert_for(trajectory.task.name, seed=seed), Memory()
     simulation = Simulation(trajectory.scene, trajectory.dynamics)
     found, escapes = [], []
     for step, executed in enumerate(trajectory.actions.tolist()):

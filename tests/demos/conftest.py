@@ -32,12 +32,12 @@ def make_trajectory() -> MakeTrajectory:
         scene, dynamics = get_task(parsed.task).sample(parsed.variant, rng)
         simulation = Simulation(scene, dynamics)
         actions = rng.integers(18, size=steps)
-        poses = [simulation.poses().bodies]
+        bodies = [simulation.read()]
         for action in actions.tolist():
             simulation.step(action)
-            poses.append(simulation.poses().bodies)
+            bodies.append(simulation.read())
         options = {"dynamics": dynamics, "seed": seed, "demonstrator": "random", **more}
-        return Trajectory.from_poses(env_id, scene, actions, np.stack(poses), **options)
+        return Trajectory.from_poses(env_id, scene, actions, np.stack(bodies), **options)
 
     return make
 

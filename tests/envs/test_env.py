@@ -12,8 +12,10 @@ import pytest
 import magical
 from magical.envs.env import MagicalEnv
 from magical.envs.episode import check_reward
+from magical.envs.vector import MagicalVectorEnv
 from magical.errors import (
     InvalidActionError,
+    InvalidConfigError,
     InvalidSceneError,
     MagicalError,
     ResetNeededError,
@@ -133,6 +135,16 @@ def test_instructions_name_what_the_variant_has_or_only_the_task() -> None:
     assert other.startswith("Move a block that is outside")
     with pytest.raises(UnknownNameError, match="expected attributes or task"):
         _make(instruction="colours")
+
+
+@pytest.mark.parametrize("paraphrase", ["x", None, 1.5, True])
+def test_a_paraphrase_that_is_no_index_is_refused_when_made(paraphrase: Any) -> None:
+    for made in (
+        lambda: _make(paraphrase=paraphrase),
+        lambda: MagicalVectorEnv(["FindDupe-Demo-v0"], workers=0, paraphrase=paraphrase),
+    ):
+        with pytest.raises(InvalidConfigError, match="paraphrase: expected an integer, found"):
+            made()
 
 
 def test_horizons_are_the_appendix_s() -> None:

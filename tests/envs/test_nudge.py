@@ -9,8 +9,10 @@ import pytest
 from magical.envs import EnvId
 from magical.envs.env import MagicalEnv
 from magical.envs.vector import MagicalVectorEnv
-from magical.errors import InvalidConfigError
-from magical.scene.constants import MAX_NUDGE
+from magical.errors import InvalidConfigError, InvalidSceneError
+from magical.scene import Block, Colour, Pose, Scene, Shape
+from magical.scene.constants import MAX_NUDGE, SQUARE_SIDE
+from magical.scene.geometry import to_workspace
 from magical.tasks import TASKS
 
 NUDGE = 1e-9
@@ -75,6 +77,27 @@ def test_a_state_after_the_largest_nudge_can_be_set() -> None:
     for seed in range(40):
         env.reset(seed=seed, options={"nudge": MAX_NUDGE})
         env.set_state(env.get_state())
+
+
+def test_whatever_scene_can_be_nudged_its_state_can_be_set() -> None:
+    """Blocks that overlap as far as a scene may, and then by the nudge; further ones cannot start.
+
+    Two squares at one pose once passed, and only their nudged scene was found to overlap.
+    """
+    env, started = MagicalEnv("MakeLine", "Demo", observation="state"), 0
+    for seed in range(40):
+        x, y, angle = np.random.default_rng(seed).uniform(-1.0, 1.0, 3)
+        first = Pose(0.6 + 0.1 * x, -0.6 + 0.1 * y, np.pi * angle)
+        second = Pose(*to_workspace((0.0, (seed % 2) * (SQUARE_SIDE - 0.005)), first), first.angle)
+        pair = tuple(Block(Shape.SQUARE, Colour.RED, pose) for pose in (first, second))
+        scene = Scene(Pose(0.0, 0.0, 0.0), pair)
+        try:
+            env.reset(seed=seed, options={"scene": scene, "nudge": MAX_NUDGE})
+        except InvalidSceneError:
+            continue
+        started += 1
+        env.set_state(env.get_state())
+    assert started == 20
 
 
 def test_a_nudged_scene_still_fits_its_task() -> None:

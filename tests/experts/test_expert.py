@@ -14,6 +14,7 @@ from magical.errors import InvalidConfigError, UnknownNameError
 from magical.evaluation import evaluate
 from magical.evaluation.expert import ExpertPolicy
 from magical.experts import Memory, expert_for, rollout
+from magical.experts.noise import ActionNoise
 from magical.physics import Simulation
 from magical.scene import NOOP, NUM_ACTIONS, Block, Colour, Pose, Scene, Shape
 from magical.scene.actions import Action, Gripper
@@ -97,6 +98,17 @@ def test_lower_skill_scores_lower() -> None:
 def test_a_misspelt_task_is_named() -> None:
     with pytest.raises(UnknownNameError, match="MoveToRegion"):
         expert_for("MoveToRegoin")
+
+
+@pytest.mark.parametrize("starts", ["without memory", "at the first step"])
+def test_a_random_action_is_not_held_into_the_next_episode(starts: str) -> None:
+    scene = get_task("FindDupe").demo
+    first = state_of(Simulation(scene), scene)
+    expected, _ = expert_for("FindDupe", seed=0).act(first)
+    noise = ActionNoise(1.0, np.random.default_rng(0))
+    noise.actions.held, noise.actions.steps_left = (expected + 1) % NUM_ACTIONS, 3
+    expert = replace(expert_for("FindDupe", seed=0), noise=noise)
+    assert expert.act(first, None if starts == "without memory" else Memory())[0] == expected
 
 
 @pytest.mark.parametrize("skill", [-0.1, 1.5, float("nan")])

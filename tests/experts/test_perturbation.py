@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from gymnasium.utils.seeding import np_random
 
-from magical.experts import Memory, Move, expert_for, rollout
+from magical.experts import Memory, Move, expert_for, rollout, strategy_seed
 from magical.experts.memory import note_other_action
 from magical.experts.noise import MAX_PERTURBED_STEPS, perturbation
 from magical.physics import Simulation
@@ -53,10 +54,29 @@ def test_perturbations_do_not_depend_on_the_experts_strategy() -> None:
     assert max(begun) > 0.2
 
 
+def test_preferences_do_not_depend_on_the_scene() -> None:
+    """Both were once sampled from the same numbers, wherever the scene takes any."""
+    task, heights, costs = get_task("MoveToRegion"), list[float](), list[float]()
+    for seed in range(300):
+        scene, _ = task.sample("TestLayout", np_random(seed)[0])
+        strategy = expert_for(task.name, seed=strategy_seed("TestLayout", seed)).strategy
+        heights.append(scene.regions[0].height)
+        costs.append(strategy.side_costs[0])
+    assert abs(np.corrcoef(heights, costs)[0, 1]) < 0.2
+    again = expert_for(task.name, seed=strategy_seed("TestLayout", 299)).strategy
+    assert again == strategy
+
+
+def test_preferences_on_demo_are_those_of_stored_demonstrations() -> None:
+    """The scene takes no numbers there, so they may be the seed's first ones."""
+    strategy = expert_for("MoveToRegion", seed=strategy_seed("Demo", 7)).strategy
+    assert strategy.side_costs[0] == 4.0 * np.random.default_rng(7).random()
+
+
 def test_labels_are_those_of_an_expert_that_observes_what_is_executed() -> None:
     episode = rollout("MoveToCorner", "TestAll", 5, perturb=0.4)
     assert 0.2 < (episode.actions != episode.expert_actions).mean() < 0.6
-    expert, memory = expert_for("MoveToCorner", seed=5), Memory()
+    expert, memory = expert_for("MoveToCorner", seed=strategy_seed("TestAll", 5)), Memory()
     simulation = Simulation(episode.scene, episode.dynamics)
     labels = []
     for step, action in enumerate(episode.actions.tolist()):

@@ -82,6 +82,8 @@ def test_unknown_specs(bad: object) -> None:
         {"parts": (("ego", 0),)},
         {"parts": (("ego", 1), ("ego", 2))},
         {"size": 0},
+        {"size": 4096, "samples": 4},
+        {"size": 1025, "samples": 4},
         {"samples": 0},
     ],
 )

@@ -143,10 +143,11 @@ def test_arrays_of_other_shapes_and_types(case: Case) -> None:
 
 
 @pytest.mark.parametrize(
-    ("size", "samples"), [(0, 1), (-4, None), (96, 3), (96, 0), (9.5, 1), (5000, 1)]
+    ("size", "samples"),
+    [(0, 1), (-4, None), (96, 3), (96, 0), (9.5, 1), (5000, 1), (4096, 4), (1025, 4)],
 )
 def test_invalid_sizes_and_samples(size: Any, samples: int | None, case: Case) -> None:
-    with pytest.raises(RenderError, match="samples"):
+    with pytest.raises(RenderError, match=r"samples .* at most 4096 across"):
         Renderer(case[0], "ego", size, samples)
 
 

@@ -3,10 +3,11 @@
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from magical.errors import InvalidSceneError
-from magical.scene import Block, Colour, Pose, Region, Scene, Shape
+from magical.scene import SHAPES, Block, Colour, Pose, Region, Scene, Shape
 from magical.tasks import validate_scene
 
 EMPTY = Scene(Pose(0.0, 0.0, 0.0))
@@ -58,3 +59,13 @@ def test_overlapping_blocks_are_named_with_how_much() -> None:
         "scene: block 1 (red circle) and block 2 (red circle) overlap by 0.040 units, "
         "expected at most 0.01; move them apart"
     )
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_blocks_at_one_pose_overlap(shape: Shape) -> None:
+    """Their corners coincide, so the line between two corners has no direction."""
+    rng = np.random.default_rng(0)
+    for x, y, angle in rng.uniform((-0.7, -0.7, -np.pi), (0.7, -0.4, np.pi), (100, 3)):
+        block = Block(shape, Colour.RED, Pose(x, y, angle))
+        with pytest.raises(InvalidSceneError, match=r"block 0 .* and block 1 .* overlap"):
+            validate_scene(replace(EMPTY, blocks=(block, block)))

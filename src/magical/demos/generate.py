@@ -128,7 +128,7 @@ def demonstrate(env_id: str, seed: int, skill: float = 1.0, *, perturb: float = 
         parsed,
         episode.scene,
         episode.actions,
-        episode.poses,
+        episode.bodies,
         dynamics=episode.dynamics,
         seed=seed,
         demonstrator="expert",

@@ -57,7 +57,7 @@ class RecordTrajectories(gym.Wrapper[Any, Any, Any, Any]):
         self._demonstrator = demonstrator
         self._min_score = min_score
         self._episode_metadata = dict(metadata or {})
-        self._poses: list[NDArray[np.float64]] = []
+        self._bodies: list[NDArray[np.float64]] = []
         self._scene: Scene | None = None
         self._seed: int | None = None
         self.recorded = 0  # episodes stored so far
@@ -79,7 +79,7 @@ class RecordTrajectories(gym.Wrapper[Any, Any, Any, Any]):
             return result
         if state.scene is not self._scene:  # `set_state` makes a new one, even for the same episode
             raise TrajectoryError("the episode was not recorded from its start; reset() first")
-        self._poses.append(state.poses.bodies)
+        self._bodies.append(state.bodies)
         if result[2] or result[3]:
             self._store()
             self._scene = None
@@ -87,12 +87,12 @@ class RecordTrajectories(gym.Wrapper[Any, Any, Any, Any]):
 
     def _start(self, seed: int | None) -> None:
         state = self._inner.state()
-        self._scene, self._poses, self._seed = state.scene, [state.poses.bodies], seed
+        self._scene, self._bodies, self._seed = state.scene, [state.bodies], seed
 
     def _store(self) -> None:
         trajectory = recorded_trajectory(
             self._inner,
-            self._poses,
+            self._bodies,
             seed=self._seed,
             demonstrator=self._demonstrator,
             metadata=self._episode_metadata,
@@ -105,7 +105,7 @@ class RecordTrajectories(gym.Wrapper[Any, Any, Any, Any]):
 
 def recorded_trajectory(
     env: MagicalEnv,
-    poses: Sequence[NDArray[np.float64]],
+    bodies: Sequence[NDArray[np.float64]],
     *,
     seed: int | None,
     demonstrator: str,
@@ -115,20 +115,21 @@ def recorded_trajectory(
 
     Args:
         env: the environment, in the state in which the episode ends.
-        poses: poses of all bodies, (5 + blocks, 3), after `reset` and after every step since.
+        bodies: poses and velocities of all bodies, (5 + blocks, 6), after `reset` and after every
+            step since.
         seed: the seed passed to `reset`, if known.
         demonstrator: name of the person or policy that chose the actions.
         metadata: plain JSON data, stored together with the date and versions.
 
     Raises:
-        TrajectoryError: the number of poses is not one more than the number of steps.
+        TrajectoryError: the number of `bodies` is not one more than the number of steps.
     """
     saved = env.get_state()
     return Trajectory.from_poses(
         env.env_id,
         env.state().scene,
         saved["actions"],
-        np.stack(poses),
+        np.stack(bodies),
         dynamics=Dynamics.from_dict(saved["dynamics"]),
         seed=seed,
         demonstrator=demonstrator,

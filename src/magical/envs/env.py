@@ -9,10 +9,10 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from magical.envs.action_spec import ActionSpaceName, action_spec
-from magical.envs.episode import Episode, Reward, Scores
+from magical.envs.episode import Episode, Reward, Scores, checked_paraphrase
 from magical.envs.ids import EnvId
 from magical.envs.keys import KEYS_TO_ACTION
-from magical.envs.saved_state import parse_state
+from magical.envs.saved_state import parse_state, warn_of_departure
 from magical.envs.window import Window
 from magical.errors import NotPicklableError, ResetNeededError, UnknownNameError
 from magical.messages import quoted
@@ -70,7 +70,7 @@ class MagicalEnv(gym.Env[Any, Any]):
     Raises:
         UnknownNameError: there is no such task, variant, observation, reward, render mode,
             instruction or action space.
-        InvalidConfigError, ObservationError: an invalid horizon or observation.
+        InvalidConfigError, ObservationError: an invalid horizon, paraphrase or observation.
         MissingDependencyError: "human" without pygame.
     """
 
@@ -94,9 +94,9 @@ class MagicalEnv(gym.Env[Any, Any]):
         action_space: ActionSpaceName = "discrete",
     ) -> None:
         self.task: Task = get_task(task)
-        self._named, self._paraphrase = names_attributes(instruction), paraphrase
+        self._named = names_attributes(instruction)
+        self._paraphrase = checked_paraphrase(paraphrase)
         self.task.axes_of(variant)  # raises for a variant that the task lacks
-        self.variant = variant
         self.observation_spec = make_spec(observation, self.task)
         self._episode = Episode(self.task, variant, self.observation_spec, horizon, reward)
         if render_mode not in (None, *self.metadata["render_modes"]):
@@ -118,6 +118,11 @@ class MagicalEnv(gym.Env[Any, Any]):
     def env_id(self) -> EnvId:
         """The id of the task and the episode's variant, without a preset."""
         return EnvId(self.task.name, self._episode.variant)
+
+    @property
+    def variant(self) -> str:
+        """The episode's variant."""
+        return self._episode.variant
 
     @property
     def horizon(self) -> int:
@@ -208,15 +213,22 @@ class MagicalEnv(gym.Env[Any, Any]):
         return self._episode.scores()
 
     def get_state(self) -> dict[str, Any]:
-        """JSON-compatible data from which `set_state` continues identically, to the last bit.
+        """JSON-compatible data from which `set_state` continues.
 
-        It holds the scene, the dynamics, the actions so far and the random generator's state.
+        It holds the scene, the dynamics, the actions so far, the bodies (poses and velocities) and
+        the random generator's state; and `exact`, False if this episode was itself continued from a
+        state whose actions led to other bodies here.
         """
         self._require_episode("get_state")
         return self._episode.save(self.np_random)
 
     def set_state(self, state: Mapping[str, Any]) -> Any:
         """Continue from a saved state by simulating its actions again.
+
+        Where they lead to the saved bodies, as with the same build of pymunk on the same platform,
+        the episode continues to the last bit. Otherwise the saved bodies are set, with a
+        `RuntimeWarning` that has the largest difference; all frames of a stack then show these, and
+        `get_state()["exact"]` is False.
 
         Args:
             state: what `get_state` returned, in this or another process.
@@ -230,9 +242,10 @@ class MagicalEnv(gym.Env[Any, Any]):
         """
         self._running = False
         saved = parse_state(state, self.task, self.action_spec)
-        self._episode.restore(saved)
+        departure = self._episode.restore(saved)
         saved.restore_rng(self.np_random)
         self._running = len(self._episode.actions) < self._episode.horizon
+        warn_of_departure(departure)
         return copy_arrays(self._episode.observer.out)
 
     def __reduce__(self) -> NoReturn:

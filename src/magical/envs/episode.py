@@ -65,6 +65,7 @@ class Episode:
         self.observer = spec.observer(out)
         self._frames = spec.frames
         self.actions: list[AnyAction] = []
+        self.exact = True  # whether the actions led to the bodies; see `saved_state.Record`
         self._progress = 0.0
         self.simulation: Simulation
         self.bodies: NDArray[np.float64]  # (5 + blocks, 6): poses and velocities
@@ -138,9 +139,10 @@ class Episode:
         return State(scene, Poses(bodies[:, :3]), bodies[:, 3:], len(self.actions), self.horizon)
 
     def save(self, rng: np.random.Generator) -> dict[str, Any]:
-        """Plain data from which `restore` continues identically: the start and all actions.
+        """Plain data from which `restore` continues: the start, all actions, and the bodies.
 
-        Poses and velocities alone would not be enough: the solver keeps impulses between steps.
+        The bodies alone would not be enough to continue identically: the solver keeps impulses
+        between steps.
         """
         scene, dynamics = self.simulation.scene, self.simulation.dynamics
         return {
@@ -151,34 +153,54 @@ class Episode:
             "dynamics": dynamics.to_dict(),
             "actions": np.array(self.actions).tolist(),
             "rng": dict(rng.bit_generator.state),
+            "bodies": self.bodies.tolist(),
+            "exact": self.exact,
         }
 
-    def restore(self, state: SavedState) -> None:
+    def restore(self, state: SavedState) -> float:
         """Continue from a saved state by simulating its actions again.
 
-        Its horizon and variant are the episode's until the next start.
+        If these lead to other bodies than the saved ones, the saved ones are set, and the frames of
+        a stack are all of these, as after a reset. Its horizon and variant are the episode's until
+        the next start.
+
+        Returns:
+            The largest difference of a number in the two `bodies`; 0.0: they are equal.
 
         Raises `InvalidStateError` if this episode's observation cannot show its scene.
         """
         self.horizon, self.variant = state.record.horizon, state.record.variant
         try:
-            self._start_from(state.scene, state.dynamics, state.actions)
+            departure = self._start_from(state.scene, state.dynamics, state.actions, state.bodies)
         except InvalidSceneError as error:
             raise InvalidStateError(f"saved state, 'scene': {error}") from error
+        self.exact = state.record.exact and not departure
+        return departure
 
     def _start_from(
-        self, scene: Scene, dynamics: Dynamics, actions: Sequence[AnyAction] = ()
-    ) -> None:
-        self.simulation = Simulation(scene, dynamics)
-        unobserved = max(0, len(actions) - self._frames + 1)
-        for action in actions[:unobserved]:
+        self,
+        scene: Scene,
+        dynamics: Dynamics,
+        actions: Sequence[AnyAction] = (),
+        saved: NDArray[np.float64] | None = None,
+    ) -> float:
+        """Start, simulate the actions, and set the `saved` bodies if these led to others."""
+        self.simulation, self.exact = Simulation(scene, dynamics), True
+        seen = [self.simulation.read()]
+        for action in actions:
             self.simulation.step(action)
-        self.bodies = self.simulation.read()
-        self.actions = list(actions[:unobserved])
-        self.observer.start(scene, self.bodies)  # raises for a scene that it cannot show
-        for action in actions[unobserved:]:
-            self.step(action)
+            seen.append(self.simulation.read())
+        departure = 0.0 if saved is None else float(np.abs(seen[-1] - saved).max())
+        if saved is not None and departure:
+            self.simulation.write(saved)
+            seen = [self.simulation.read()]
+        self.bodies, self.actions = seen[-1], list(actions)
+        first, *later = seen[-self._frames :]
+        self.observer.start(scene, first)  # raises for a scene that it cannot show
+        for bodies in later:
+            self.observer.update(bodies)
         self._progress = self._measure_progress()
+        return departure
 
     def _measure_progress(self) -> float:
         if self.reward != "dense" or self.task.program is None:
@@ -212,6 +234,13 @@ def checked_nudge(nudge: Any) -> float:
             f"nudge: expected a number from 0 to {MAX_NUDGE}, found {quoted(nudge)}"
         )
     return float(nudge)
+
+
+def checked_paraphrase(paraphrase: Any) -> int:
+    """The index of an instruction's wording; raises `InvalidConfigError`."""
+    if not isinstance(paraphrase, int | np.integer) or isinstance(paraphrase, bool):
+        raise InvalidConfigError(f"paraphrase: expected an integer, found {quoted(paraphrase)}")
+    return int(paraphrase)
 
 
 def _checked_score(task: Task, name: str, value: Any) -> float:

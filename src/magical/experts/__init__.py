@@ -35,7 +35,7 @@ environments; "tuned" was set by hand on expert scores, mostly on the Cluster ta
 `noise`.
 """
 
-from magical.experts.expert import Expert, expert_for
+from magical.experts.expert import Expert, expert_for, strategy_seed
 from magical.experts.goals import get_planner, has_expert, register_planner
 from magical.experts.memory import Memory, note_other_action
 from magical.experts.planning import Move, MovePlan, Planner, Strategy
@@ -59,4 +59,5 @@ __all__ = [
     "note_other_action",
     "register_planner",
     "rollout",
+    "strategy_seed",
 ]

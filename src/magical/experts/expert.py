@@ -33,6 +33,9 @@ RETRY_OFFSET = 0.13  # units from its centre to the point to aim at; tuned
 RETRY_ROTATION = 2.4  # rad between one attempt and the next: the golden angle
 SIDE_SHIFTS = 5  # attempts that shift the side preferences before they repeat
 
+# Spawn key of strategies; that of the random actions of `rollout` is 0.
+_STRATEGY = 1
+
 IDLE_ACTION = Action(gripper=Gripper.CLOSED).id  # of a finished expert; see `_idle_action`
 
 
@@ -59,11 +62,13 @@ class Expert:
         Returns:
             The action's id, and the memory for the next call.
         """
-        memory = memory or Memory()
+        starts, memory = memory is None or state.step == 0, memory or Memory()
         if self.task.validate_fn(state.scene):
             return NOOP, memory
         action, memory = self._decide(StateView.from_state(state), memory)
         if self.noise is not None:
+            if starts:  # an action of another episode may still be held
+                self.noise.actions.steps_left = 0
             action = self.noise.actions.execute(action)
         return action, memory
 
@@ -181,10 +186,20 @@ def _missing_width(view: StateView, start: Point, goal: Point) -> float:
     return total
 
 
+def strategy_seed(variant: str, seed: int | None) -> np.random.SeedSequence:
+    """The seed of the strategy in the episode of a variant that `reset(seed=seed)` starts.
+
+    With the scene's own random numbers, a demonstrator's preferences would be a function of the
+    scene. Demo's scene takes none, so there the seed itself serves, as it did for demonstrations
+    that are stored.
+    """
+    return np.random.SeedSequence(seed, spawn_key=() if variant == "Demo" else (_STRATEGY,))
+
+
 def expert_for(
     task: str,
     *,
-    seed: int | None = None,
+    seed: int | np.random.SeedSequence | None = None,
     rng: np.random.Generator | None = None,
     skill: float = 1.0,
 ) -> Expert:
@@ -192,7 +207,8 @@ def expert_for(
 
     Args:
         task: the task's name, such as MoveToCorner.
-        seed: seed of the strategy and the action noise; None: random.
+        seed: seed of the strategy and the action noise; None: random. For the demonstrator of an
+            episode, `strategy_seed`, not the seed that the scene is sampled with.
         rng: generator from which to sample them instead, if given.
         skill: from 0 to 1. Below 1 the expert makes mistakes: random actions, detours, and
             sometimes wrong goals.

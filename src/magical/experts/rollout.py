@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from magical.envs.vector.workers import defining_modules
 from magical.errors import InvalidTaskError
-from magical.experts.expert import Expert, expert_for
+from magical.experts.expert import Expert, expert_for, strategy_seed
 from magical.experts.goals import get_planner
 from magical.experts.memory import Memory, note_other_action
 from magical.experts.noise import perturbation
@@ -19,14 +19,19 @@ from magical.tasks import get_task
 
 @dataclass(frozen=True, slots=True)
 class ExpertEpisode:
-    """One episode: its initial scene and dynamics, the actions, and all poses."""
+    """One episode: its initial scene and dynamics, the actions, and all poses and velocities."""
 
     scene: Scene
     dynamics: Dynamics
     actions: NDArray[np.int64]  # (T,), executed
     expert_actions: NDArray[np.int64]  # (T,), the expert's; the same unless perturbed
-    poses: NDArray[np.float64]  # (T + 1, bodies, 3), rows as in `Poses`
+    bodies: NDArray[np.float64]  # (T + 1, bodies, 6): poses and velocities, rows as in `Poses`
     score: float  # of the last poses, by the appendix's rule
+
+    @property
+    def poses(self) -> NDArray[np.float64]:
+        """All poses, (T + 1, bodies, 3)."""
+        return self.bodies[:, :, :3]
 
 
 class EpisodeExpert:
@@ -74,8 +79,8 @@ def rollout(
     spec, rng = get_task(task), np_random(seed)[0]
     scene, dynamics = spec.sample(variant, rng)
     spec.validate(scene)
-    expert = EpisodeExpert(expert_for(task, seed=seed, skill=skill))
-    random_actions = perturbation(perturb, rng.spawn(1)[0])  # the strategy uses the scene's numbers
+    expert = EpisodeExpert(expert_for(task, seed=strategy_seed(variant, seed), skill=skill))
+    random_actions = perturbation(perturb, rng.spawn(1)[0])
     simulation = Simulation(scene, dynamics)
     chosen, tables = [], [simulation.read()]
     for step in range(spec.horizon):
@@ -87,9 +92,8 @@ def rollout(
         chosen.append((action, expert_action))
         tables.append(simulation.read())
     actions, expert_actions = np.array(chosen).T
-    path = np.stack(tables)[:, :, :3]
-    score = spec.score(scene, Poses(path[-1]))
-    return ExpertEpisode(scene, dynamics, actions, expert_actions, path, score)
+    score = spec.score(scene, Poses(tables[-1][:, :3]))
+    return ExpertEpisode(scene, dynamics, actions, expert_actions, np.stack(tables), score)
 
 
 def modules_of(task: str) -> list[str]:

@@ -15,7 +15,7 @@ from magical.errors import ObservationError, UnknownNameError
 from magical.messages import quoted
 from magical.observe.arrays import SINGLE, ArrayFields, empty, stack_indices
 from magical.observe.spec import EpisodeSource, FrameSource
-from magical.scene.constants import FRAME_SIZE, MAX_FRAME_SIZE, SAMPLES
+from magical.scene.constants import FRAME_SIZE, MAX_FRAME_SIZE, MAX_SAMPLES_ACROSS, SAMPLES
 from magical.scene.scene import Scene
 from magical.scene.vocabulary import View, parse_word
 
@@ -36,8 +36,9 @@ class PixelSpec:
     Args:
         parts: the views in channel order, each with its number of frames.
         size: height and width in pixels.
-        samples: 1, 2 or 4; samples x samples are averaged in each pixel; `None` takes the fewest
-            that make at least 384 across, at most 4, as in the published pipeline.
+        samples: 1, 2 or 4; samples x samples are averaged in each pixel, at most 4096 across a
+            frame; `None` takes the fewest that make at least 384 across, at most 4, as in the
+            published pipeline.
         separate: a dict of views instead of one array (size, size, 3 * frames).
         channels_first: arrays (3 * frames, size, size).
 
@@ -71,6 +72,11 @@ class PixelSpec:
             object.__setattr__(self, "samples", _whole("samples", self.samples, max(SAMPLES)))
             if self.samples not in SAMPLES:
                 raise ObservationError(f"samples: expected one of {SAMPLES}, found {self.samples}")
+            if self.size * self.samples > MAX_SAMPLES_ACROSS:
+                raise ObservationError(
+                    f"size and samples: expected at most {MAX_SAMPLES_ACROSS} samples across a "
+                    f"frame, found {self.size} x {self.samples}; use fewer samples"
+                )
 
     def shape(self, frames: int) -> tuple[int, int, int]:
         """The shape of an array of `frames` stacked frames."""

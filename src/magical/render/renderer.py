@@ -12,7 +12,13 @@ from magical.render.canvas import working_memory
 from magical.render.display import FURTHEST, display_list
 from magical.render.frame import ALLO, EGO, GROUND, compiled_render
 from magical.render.output import CHANNELS, push, store
-from magical.scene.constants import FRAME_SIZE, MAX_FRAME_SIZE, RAW_FRAME_SIZE, SAMPLES
+from magical.scene.constants import (
+    FRAME_SIZE,
+    MAX_FRAME_SIZE,
+    MAX_SAMPLES_ACROSS,
+    RAW_FRAME_SIZE,
+    SAMPLES,
+)
 from magical.scene.poses import FIRST_BLOCK, Poses
 from magical.scene.scene import Pose, Scene
 from magical.scene.vocabulary import View, parse_word
@@ -30,10 +36,12 @@ def default_samples(size: int) -> int:
 def checked_samples(size: int, samples: int | None) -> int:
     """The samples across a pixel, `default_samples` for None; raises `RenderError`."""
     if isinstance(size, int) and 0 < size <= MAX_FRAME_SIZE and samples in (None, *SAMPLES):
-        return default_samples(size) if samples is None else int(samples)  # no kernel takes a float
+        chosen = default_samples(size) if samples is None else int(samples)  # no kernel takes float
+        if size * chosen <= MAX_SAMPLES_ACROSS:
+            return chosen
     raise RenderError(
-        f"expected a size from 1 to {MAX_FRAME_SIZE} and samples among {SAMPLES}, "
-        f"found {quoted(size)} and {quoted(samples)}"
+        f"expected a size from 1 to {MAX_FRAME_SIZE} and samples among {SAMPLES}, together at most "
+        f"{MAX_SAMPLES_ACROSS} across a frame, found {quoted(size)} and {quoted(samples)}"
     )
 
 
@@ -44,7 +52,8 @@ class Renderer:
         scene: which bodies and regions there are; its poses are not used, except the regions'.
         view: `View.EGO` or `View.ALLO`, or their names.
         size: height and width of the frame in pixels.
-        samples: 1, 2 or 4; samples x samples are averaged in each pixel, halves rounded to even.
+        samples: 1, 2 or 4; samples x samples are averaged in each pixel, halves rounded to even;
+            at most 4096 across the frame (`MAX_SAMPLES_ACROSS`).
             Default: the fewest that make at least 384 across, at most 4. 4 at 96 pixels is the
             published pipeline, 1 at 384 its raw frame.
         whole_dashes: whether the sides of goal regions advance the pattern of dashes by whole

@@ -161,5 +161,7 @@ def _axes(a: Piece, b: Piece) -> Iterable[Point]:
 
 
 def _unit(x: float, y: float) -> Point:
-    length = math.hypot(x, y) or 1.0
+    length = math.hypot(x, y)
+    if not length:  # of two vertices in one place; every direction bounds the overlap
+        return 1.0, 0.0
     return x / length, y / length

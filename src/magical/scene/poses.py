@@ -66,3 +66,8 @@ class State:
     velocities: NDArray[np.float64]  # (5 + number of blocks, 3): x, y, angular, per second
     step: int  # control steps since reset
     horizon: int  # control steps in the episode
+
+    @property
+    def bodies(self) -> NDArray[np.float64]:
+        """Poses and velocities, (5 + number of blocks, 6)."""
+        return np.hstack([self.poses.bodies, self.velocities])

@@ -16,7 +16,7 @@ from magical.envs.ids import EnvId
 from magical.errors import MagicalError, PolicyError
 from magical.evaluation.policy import observation_for
 from magical.evaluation.seeds import RolloutRng
-from magical.experts import EpisodeExpert, expert_for
+from magical.experts import EpisodeExpert, expert_for, strategy_seed
 from magical.observe import make_spec
 from magical.observe.arrays import map_arrays
 from magical.scene import State
@@ -94,7 +94,7 @@ class Driver:
 
 
 def _expert_chooser(env_id: EnvId, seed: int) -> Chooser:
-    expert = EpisodeExpert(expert_for(env_id.task, seed=seed))
+    expert = EpisodeExpert(expert_for(env_id.task, seed=strategy_seed(env_id.variant, seed)))
 
     def choose(state: State, executed: int | None) -> Proposal:
         if executed is not None:
@@ -110,7 +110,7 @@ def _network_chooser(policy: Any, env_id: EnvId, seed: int) -> Chooser:
     policy.reset(np.ones(1, np.bool_))
 
     def choose(state: State, executed: int | None) -> Proposal:
-        bodies = np.hstack([state.poses.bodies, state.velocities])
+        bodies = state.bodies
         if executed is None:
             observer.start(state.scene, bodies)
         else:
@@ -147,7 +147,7 @@ def roll_out(policies: Policies, number: int, env_id: EnvId, seed: int) -> Traje
         pass
     remarks = {"recorder": RECORDER, "policy": driver.name}
     return recorded_trajectory(
-        episode.env, episode.poses, seed=seed, demonstrator=driver.name, metadata=remarks
+        episode.env, episode.bodies, seed=seed, demonstrator=driver.name, metadata=remarks
     )
 
 

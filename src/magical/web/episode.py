@@ -15,18 +15,18 @@ RECORDER = "magical play"  # in the metadata of episodes
 
 
 class PlayedEpisode:
-    """An episode from its reset to its last step, with all poses."""
+    """An episode from its reset to its last step, with all poses and velocities."""
 
     def __init__(self, env_id: EnvId, seed: int) -> None:
         self.env_id = env_id
         self.seed = seed
         self.env = MagicalEnv(env_id.task, env_id.variant, observation="state")
         self.env.reset(seed=seed)
-        self.poses: list[NDArray[np.float64]] = []
+        self.bodies: list[NDArray[np.float64]] = []
         self.last_action: int | None = None
         self.actors: list[Actor] = []  # who chose each action
         self.policy_actions: list[int] = []  # chosen by the watched policy, if any
-        self._note_poses()
+        self._note_bodies()
 
     def step(self, action: int, actor: Actor, chosen: int | None = None) -> bool:
         """Step the environment; returns whether that was the last step.
@@ -41,11 +41,11 @@ class PlayedEpisode:
             self.policy_actions.append(chosen)
         self.last_action = action
         truncated = self.env.step(action)[3]
-        self._note_poses()
+        self._note_bodies()
         return truncated
 
-    def _note_poses(self) -> None:
-        self.poses.append(self.env.state().poses.bodies)
+    def _note_bodies(self) -> None:
+        self.bodies.append(self.env.state().bodies)
 
     @property
     def seen(self) -> tuple[State, int | None]:
@@ -55,7 +55,7 @@ class PlayedEpisode:
     @property
     def steps(self) -> int:
         """Control steps so far."""
-        return len(self.poses) - 1
+        return len(self.bodies) - 1
 
     def trajectory(self, demonstrator: str, view: str, policy: str | None = None) -> Trajectory:
         """The episode as a demonstration.
@@ -68,7 +68,7 @@ class PlayedEpisode:
         metadata = {"recorder": RECORDER, "view": view}
         trajectory = recorded_trajectory(
             self.env,
-            self.poses,
+            self.bodies,
             seed=self.seed,
             demonstrator=demonstrator,
             metadata=metadata if policy is None else {**metadata, "policy": policy},

@@ -218,6 +218,11 @@ def test_a_folder_with_something_else_is_no_dataset(tmp_path: Path) -> None:
     assert [file.name for file in tmp_path.iterdir()] == ["config.json"]
 
 
+def test_a_folder_with_hidden_files_may_become_a_dataset(tmp_path: Path) -> None:
+    (tmp_path / ".DS_Store").touch()
+    assert len(Dataset.open(DatasetWriter(tmp_path).path)) == 0
+
+
 def test_a_file_that_another_writer_has_renamed_meanwhile(tmp_path: Path) -> None:
     (tmp_path / ".manifest.jsonl.1a.part").symlink_to("gone")  # listed, and no file any more
     assert len(Dataset.open(DatasetWriter(tmp_path).path)) == 0

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from magical.demos import Trajectory, observations
 from magical.envs import EnvId
 from magical.envs.vector import MagicalVectorEnv
-from magical.experts import Memory, expert_for
+from magical.experts import Memory, expert_for, strategy_seed
 from magical.experts.memory import note_other_action
 from magical.learning.algorithms.dagger import collect_labelled
 from magical.physics import Simulation
@@ -54,7 +54,8 @@ def collect(share: float, seed: int = 0, workers: int = 0) -> tuple[list[Traject
 def expert_on(trajectory: Trajectory) -> tuple[list[int], NDArray[np.float64]]:
     """The expert's labels along an episode that is simulated again, and the episode's poses."""
     simulation = Simulation(trajectory.scene, trajectory.dynamics)
-    expert, memory = expert_for(trajectory.task.name, seed=trajectory.seed), Memory()
+    seed = strategy_seed(trajectory.env_id.variant, trajectory.seed)
+    expert, memory = expert_for(trajectory.task.name, seed=seed), Memory()
     labels, poses = [], [simulation.read()[:, :3].copy()]
     for step, action in enumerate(trajectory.actions.tolist()):
         table = simulation.read()

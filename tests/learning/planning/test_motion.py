@@ -77,7 +77,7 @@ def test_steps_against_a_wall_teach_nothing(corner: list[ParsedDemonstration]) -
     assert poses is not None
     still = [np.concatenate([each, np.repeat(each[-1:], 60, axis=0)]) for each in (*parsed, poses)]
     ahead = np.append(trajectory.actions, np.full(60, Action(Longitudinal.FORWARD).id))
-    driven = replace(trajectory, actions=ahead, poses=still.pop())
+    driven = replace(trajectory, actions=ahead, poses=still.pop(), velocities=None)
     motion = fit_motion([ParsedDemonstration(task, driven, ParsedFrames(*still)), corner[1]])
     np.testing.assert_allclose(motion.speeds, fit_motion(corner).speeds, rtol=0.1)
 

@@ -1,10 +1,10 @@
 """The file format of a trajectory: an .npz archive of arrays that NumPy reads without pickle.
 
 Members: `header` (JSON as uint8), `actions` (T,) uint8, and `poses` (T + 1, 5 + blocks, 3) float64
-or `frames_allo` and `frames_ego` (T + 1, 96, 96, 3) uint8, or all of them; and `expert_actions`,
-`actors` and `policy_actions` (T,) uint8 if the trajectory has them. Continuous actions are
-(T, 3) float64. Deflate already exploits the repeated rows of blocks at rest and the similarity of
-successive frames: filtering the data first saved nothing.
+or `frames_allo` and `frames_ego` (T + 1, 96, 96, 3) uint8, or all of them; and `velocities`, of the
+poses' shape, `expert_actions`, `actors` and `policy_actions` (T,) uint8 if the trajectory has them.
+Continuous actions are (T, 3) float64. Deflate already exploits the repeated rows of blocks at rest
+and the similarity of successive frames: filtering the data first saved nothing.
 """
 
 import hashlib
@@ -50,6 +50,7 @@ _MEMBERS = {  # in the order of reading
     "actions": _Member("|u1", (), more_rows=None),
     **{name: _Member("|u1", (), more_rows=0) for name in _BY_STEP},
     "poses": _Member("<f8", (None, 3), more_rows=1),
+    "velocities": _Member("<f8", (None, 3), more_rows=1),
     **{f"frames_{view}": _FRAMES for view in VIEWS},
 }
 # The header of an .npy file as NumPy writes it for such arrays (format version 1.0).
@@ -86,8 +87,9 @@ def encode(trajectory: Trajectory) -> bytes:
     for name in ("actions", *_BY_STEP):
         if (array := getattr(trajectory, name)) is not None:
             arrays[name] = array if array.dtype.kind == "f" else array.astype(np.uint8)
-    if trajectory.poses is not None:
-        arrays["poses"] = trajectory.poses
+    for name in ("poses", "velocities"):
+        if (array := getattr(trajectory, name)) is not None:
+            arrays[name] = array
     for view, frames in (trajectory.frames or {}).items():
         arrays[f"frames_{view}"] = frames
     file = io.BytesIO()
@@ -120,12 +122,14 @@ def decode(raw: bytes) -> Trajectory:
 def fingerprint(raw: bytes) -> str:
     """A fingerprint of the actions and poses or frames of an encoded trajectory.
 
-    It is computed from the archive's checksums, so it costs almost nothing. It detects duplicates,
-    but not forgeries.
+    Velocities do not count, so an episode recorded without them has the same one. It is computed
+    from the archive's checksums, so it costs almost nothing. It detects duplicates, but not
+    forgeries.
     """
+    uncounted = ("header.npy", "velocities.npy")
     with zipfile.ZipFile(io.BytesIO(raw)) as archive:
         members = sorted((i.filename, i.CRC, i.file_size) for i in archive.infolist())
-    content = repr([member for member in members if member[0] != "header.npy"])
+    content = repr([member for member in members if member[0] not in uncounted])
     return hashlib.sha256(content.encode()).hexdigest()[:16]
 
 
@@ -220,6 +224,7 @@ def _trajectory(header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Traj
         dynamics=Dynamics.from_dict(header["dynamics"]),
         actions=arrays["actions"],
         poses=arrays.get("poses"),
+        velocities=arrays.get("velocities"),
         frames=frames or None,
         expert_actions=arrays.get("expert_actions"),
         actors=arrays.get("actors"),

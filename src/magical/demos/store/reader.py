@@ -93,11 +93,12 @@ class TrajectorySource:
     def body_states(self) -> NDArray[np.float64]:
         """Poses and velocities, (T + 1, 5 + blocks, 6) float64.
 
-        Velocities are not stored, so the actions are simulated again. If the poses were
+        If velocities were not recorded, the actions are simulated again; if the poses were
         recovered from frames, the simulation follows them (see `estimated_states`).
 
         Raises:
-            TrajectoryError: poses are unknown, or the simulation does not reproduce them.
+            TrajectoryError: poses are unknown; or velocities are, and the simulation does not
+                reproduce the poses.
         """
         trajectory = self.trajectory
         if trajectory.poses is None:
@@ -105,6 +106,8 @@ class TrajectorySource:
                 f"{trajectory.env_id}: a recording of frames has no states; those of human "
                 "demonstrations are recovered by an import without --frames-only"
             )
+        if trajectory.velocities is not None:
+            return np.concatenate([trajectory.poses, trajectory.velocities], axis=2)
         if trajectory.is_recovered:
             return estimated_states(trajectory)
         simulation = Simulation(trajectory.scene, trajectory.dynamics)
@@ -164,13 +167,12 @@ def observations(
 
     Args:
         trajectory: the stored episode.
-        observation: see `magical.observe.make_spec`. State vectors are simulated again, since
-            velocities are not stored.
+        observation: see `magical.observe.make_spec`.
         times: time steps from 0 to T (default: all).
 
     Raises:
-        TrajectoryError: a recording of frames lacks the observation; or the simulation does not
-            reproduce the trajectory, which state vectors need.
+        TrajectoryError: a recording of frames lacks the observation; or velocities, which state
+            vectors need, were not recorded and the simulation does not reproduce the trajectory.
         UnknownNameError: there is no such observation.
     """
     steps = np.arange(len(trajectory) + 1) if times is None else times

@@ -32,6 +32,7 @@ VIEWS = tuple(str(view) for view in View)
 RECOVERY = "recovery"  # in the metadata: how poses were recovered from frames
 MAX_NAME = 1000  # characters of an environment id or a demonstrator's name
 MAX_POSE = (10.0, 10.0, 1e6)  # units, units and radians: the workspace is [-1, 1] x [-1, 1]
+MAX_VELOCITY = (1e6, 1e6, 1e6)  # units and radians per second
 _ACTIONS = "actions", "expert_actions", "policy_actions"  # all of the same kind
 _ENV_ID = re.compile(r"[\w/-]{1,200}")
 
@@ -49,7 +50,8 @@ class Trajectory:
     """A recorded episode of T control steps, with T + 1 time steps from `reset` to its end.
 
     It has `poses`, from which any view can be rendered exactly at any resolution, or `frames`, or
-    both. Arrays are made read-only; writeable ones are copied. Metadata must be plain JSON data.
+    both. State vectors also need `velocities`; without them, the actions are simulated again.
+    Arrays are made read-only; writeable ones are copied. Metadata must be plain JSON data.
 
     `actions` are the executed ones, which led from each pose to the next. They are discrete or
     continuous, as are all other actions of the episode. If actions other than the expert's were
@@ -75,6 +77,7 @@ class Trajectory:
     dynamics: Dynamics = field(default_factory=Dynamics)
     seed: int | None = None  # passed to `reset`, if known
     poses: NDArray[np.float64] | None = None  # (T + 1, 5 + blocks, 3), rows as in `Poses`
+    velocities: NDArray[np.float64] | None = None  # of the poses, per second; None: not recorded
     frames: Mapping[str, NDArray[np.uint8]] | None = None  # view: (T + 1, 96, 96, 3)
     expert_actions: Actions | None = None  # as `actions`; None: the executed ones
     actors: NDArray[np.uint8] | None = None  # (T,), of `Actor`; None: always the demonstrator
@@ -94,7 +97,8 @@ class Trajectory:
             "expert_actions": partial(checked_actions, "expert_actions", ndim=ndim, count=count),
             "policy_actions": partial(checked_actions, "policy_actions", ndim=ndim, count=count),
             "actors": self._checked_actors,
-            "poses": self._checked_poses,
+            "poses": partial(self._checked_bodies, "poses", MAX_POSE),
+            "velocities": partial(self._checked_bodies, "velocities", MAX_VELOCITY),
             "frames": self._checked_frames,
             "score": partial(checked_score, "score"),
             "seed": _checked_seed,
@@ -104,6 +108,8 @@ class Trajectory:
                 put(name, checked(value))
         if self.poses is None and self.frames is None:
             raise TrajectoryError("expected poses or frames, found none")
+        if self.poses is None and self.velocities is not None:
+            raise TrajectoryError("velocities: expected none without poses")
         if self.score is None and self.poses is not None:
             raise TrajectoryError("score: expected a number where poses are known; use from_poses")
         if not isinstance(self.demonstrator, str) or not 0 < len(self.demonstrator) <= MAX_NAME:
@@ -121,10 +127,17 @@ class Trajectory:
     def from_poses(
         env_id: str, scene: Scene, actions: ArrayLike, poses: ArrayLike, **more: Any
     ) -> "Trajectory":
-        """A trajectory whose two scores are computed from its final poses."""
-        table, shape = np.asarray(poses, np.float64), Poses.at_rest(scene).bodies.shape
-        if table.shape[1:] != shape or not len(table):
-            raise TrajectoryError(f"poses: expected shape (T + 1, *{shape}), found {table.shape}")
+        """A trajectory whose two scores are computed from its final poses.
+
+        `poses` are (T + 1, 5 + blocks, 3), or with velocities (T + 1, 5 + blocks, 6).
+        """
+        table, (rows, _) = np.asarray(poses, np.float64), Poses.at_rest(scene).bodies.shape
+        if table.shape[1:] not in ((rows, 3), (rows, 6)) or not len(table):
+            raise TrajectoryError(
+                f"poses: expected shape (T + 1, {rows}, 3 or 6), found {table.shape}"
+            )
+        if table.shape[2] == 6:
+            table, more["velocities"] = np.split(table, 2, axis=2)
         parsed, last = parse_env_id(env_id), Poses(table[-1])
         task = parsed.task_spec
         task.validate(scene, MAX_NUDGE)
@@ -205,13 +218,15 @@ class Trajectory:
             )
         return _frozen(array.astype(np.uint8))
 
-    def _checked_poses(self, poses: ArrayLike) -> NDArray[np.float64]:
+    def _checked_bodies(
+        self, name: str, limits: tuple[float, float, float], values: ArrayLike
+    ) -> NDArray[np.float64]:
         steps, blocks = len(self.actions), len(self.scene.blocks)
         shape, why = (steps + 1, FIRST_BLOCK + blocks, 3), f"for {steps} actions, {blocks} blocks"
-        array = _checked_array("poses", poses, "float64", shape, why)
-        if not (np.abs(array) <= MAX_POSE).all():
+        array = _checked_array(name, values, "float64", shape, why)
+        if not (np.abs(array) <= limits).all():
             raise TrajectoryError(
-                f"poses: expected finite x, y and angles of at most {MAX_POSE}, "
+                f"{name}: expected finite x, y and angles of at most {limits}, "
                 f"found {np.abs(array).max(axis=(0, 1))}"
             )
         return array

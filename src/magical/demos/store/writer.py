@@ -10,7 +10,6 @@ from magical.demos.store.trajectory import Trajectory
 from magical.errors import DatasetError
 from magical.files import (
     LOCK,
-    is_partial,
     locked,
     make_folder,
     remove_partial_files,
@@ -89,9 +88,12 @@ class DatasetWriter:
 
 
 def _others(folder: Path) -> list[str]:
-    """The names of files in a folder without a manifest that no writer has created."""
+    """The names of files in a folder without a manifest that no writer has created.
+
+    Hidden files do not count: file managers leave some, such as .DS_Store.
+    """
     if (folder / manifest.NAME).exists():
         return []
-    written = (LOCK, manifest.FOLDER, manifest.NAME)  # perhaps just now, by another process
-    others = (f for f in folder.iterdir() if f.name not in written)
-    return sorted(file.name for file in others if not is_partial(file, manifest.NAME))
+    written = (manifest.FOLDER, manifest.NAME)  # perhaps just now, by another process
+    names = (file.name for file in folder.iterdir())
+    return sorted(name for name in names if name not in written and not name.startswith("."))

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from magical.envs.action_spec import ActionSpaceName, action_spec
 from magical.envs.env import SCORE_KEYS, Instruction, MagicalEnv, names_attributes, not_picklable
-from magical.envs.episode import Reward
+from magical.envs.episode import Reward, checked_paraphrase
 from magical.envs.ids import EnvId, parse_env_id
-from magical.envs.saved_state import parse_state
+from magical.envs.saved_state import parse_state, warn_of_departure
 from magical.envs.vector.buffers import Copies, SharedMemory, VectorBuffers, VectorSpec
 from magical.envs.vector.checks import (
     check_timeout,
@@ -68,8 +68,7 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         observation: see `observe.make_spec`; takes precedence over the ids' preset.
         horizon: as for `MagicalEnv`.
         reward: as for `MagicalEnv`.
-        instruction: as for `MagicalEnv`.
-        paraphrase: as for `MagicalEnv`.
+        instruction, paraphrase: as for `MagicalEnv`.
         action_space: as for `MagicalEnv`.
         autoreset_mode: what happens after an episode's last step, an `AutoresetMode` or its value.
             "NextStep": the next step ignores the action and starts another episode. "SameStep":
@@ -88,7 +87,7 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         UnknownNameError: an unknown id, observation, reward, instruction, action space, autoreset
             mode or render mode.
         ValueError: no ids, or an invalid number of workers or timeout.
-        InvalidConfigError, ObservationError: an invalid horizon or observation.
+        InvalidConfigError, ObservationError: an invalid horizon, paraphrase or observation.
         MismatchedSpacesError: sub-environments whose observation spaces differ.
         InvalidTaskError: a task that workers cannot import.
     """
@@ -127,7 +126,8 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
             self.env_ids, common, horizon, reward, self.autoreset_mode, copy, self.action_spec
         )
         self._set_spaces(common.space)
-        self._named, self._paraphrase = names_attributes(instruction), paraphrase
+        self._named = names_attributes(instruction)
+        self._paraphrase = checked_paraphrase(paraphrase)
         self._running = np.zeros(self.num_envs, np.bool_)
         self._scenes: list[Scene | None] = [None] * self.num_envs
         self._lock = Lock()  # held by the call in progress
@@ -284,11 +284,12 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         with self._call("set_state"):
             row = range(self.num_envs)[index]
             task = self.env_ids[row].task_spec
-
-            def restore() -> Started:
-                return self._sub_envs.set_state(row, parse_state(state, task, self.action_spec))
-
-            self._start(self._exchange(restore, [row]))
+            ((_, scene, departure),) = self._exchange(
+                lambda: self._sub_envs.set_state(row, parse_state(state, task, self.action_spec)),
+                [row],
+            )
+            self._start([(row, scene)])
+            warn_of_departure(departure)
             return copy_arrays(select(self._buffers.observations, index))
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:

@@ -19,6 +19,7 @@ from magical.scene.poses import FIRST_BLOCK
 from magical.scene.scene import Scene
 
 Started = list[tuple[int, Scene]]  # sub-environments that started an episode, and its scene
+Restored = list[tuple[int, Scene, float]]  # as `Started`, with what `Episode.restore` returns
 Seeds = Sequence[tuple[int, int | None]]  # sub-environments to reset, and their seeds
 
 
@@ -109,7 +110,7 @@ class SubEnvs:
         env = self._envs[row]
         return env.episode.save(env.rng)
 
-    def set_state(self, row: int, state: SavedState) -> Started:
+    def set_state(self, row: int, state: SavedState) -> Restored:
         """Continue from a saved state; raises `InvalidStateError`."""
         return [self._envs[row].restore(state)]
 
@@ -164,11 +165,11 @@ class _SubEnv:
         self.episode.start(self.rng, options)
         return self._started()
 
-    def restore(self, state: SavedState) -> tuple[int, Scene]:
+    def restore(self, state: SavedState) -> tuple[int, Scene, float]:
         """Continue as `MagicalEnv.set_state` does."""
-        self.episode.restore(state)
+        departure = self.episode.restore(state)
         state.restore_rng(self.rng)
-        return self._started()
+        return *self._started(), departure
 
     def keep_final_observation(self) -> None:
         """Copy the last observation, which the next episode's first one would overwrite."""

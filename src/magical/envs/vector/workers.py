@@ -23,7 +23,7 @@ import magical.tasks
 from magical.envs.episode import Episode
 from magical.envs.saved_state import SavedState
 from magical.envs.vector.buffers import SharedMemory, VectorBuffers, VectorSpec, open_memory
-from magical.envs.vector.sub_envs import Seeds, Started, SubEnvs
+from magical.envs.vector.sub_envs import Restored, Seeds, Started, SubEnvs
 from magical.errors import (
     InvalidTaskError,
     ObservationError,
@@ -111,10 +111,10 @@ class RemoteSubEnvs:
         state: dict[str, Any] = self._call("get_state", row)
         return state
 
-    def set_state(self, row: int, state: SavedState) -> Started:
+    def set_state(self, row: int, state: SavedState) -> Restored:
         """See `SubEnvs.set_state`."""
-        started: Started = self._call("set_state", row, state)
-        return started
+        restored: Restored = self._call("set_state", row, state)
+        return restored
 
     def _call(self, name: str, row: int, *args: Any) -> Any:
         """Call a method of the `SubEnvs` that sub-environment `row` belongs to."""

@@ -2,7 +2,8 @@
 
 A task of this package in `magical/tasks/<file>.py` has its goals in `<file>.py` here, a module
 that ends with `PLANNER = Planner(...)`. Other packages provide theirs by entry points in the group
-`magical.experts`, named after the task, or call `register_planner`.
+`magical.experts`, named after the task, or call `register_planner`. A task without any of these
+that has a program gets the expert for programs.
 """
 
 import importlib
@@ -12,7 +13,8 @@ from importlib.util import find_spec
 from magical.errors import NoExpertError, PluginError
 from magical.experts.planning import Planner
 from magical.plugins import load_plugin, plugins
-from magical.tasks import TASKS, get_task
+from magical.tasks import TASKS
+from magical.tasks.programs import Goal
 from magical.tasks.programs.generated import is_generated
 
 __all__ = ["get_planner", "has_expert", "register_planner"]
@@ -49,10 +51,10 @@ def get_planner(task: str) -> Planner:
         planner = importlib.import_module(f"{__name__}.{_file(task)}").PLANNER
     elif task in plugins(GROUP):
         planner = load_plugin(GROUP, task)
-    elif is_generated(task) and (program := get_task(task).program) is not None:
+    elif (program := _program(task)) is not None:
         from magical.experts.goals._programs import program_planner
 
-        planner = program_planner(program)
+        return program_planner(program)
     else:
         known = ", ".join(name for name in TASKS if has_expert(name))
         raise NoExpertError(
@@ -66,7 +68,13 @@ def get_planner(task: str) -> Planner:
 
 def has_expert(task: str) -> bool:
     """Whether a task has a scripted expert; the expert is not imported."""
-    return task in _registered or _is_ours(task) or task in plugins(GROUP) or is_generated(task)
+    known = task in _registered or _is_ours(task) or task in plugins(GROUP) or is_generated(task)
+    return known or _program(task) is not None
+
+
+def _program(task: str) -> Goal | None:
+    """What a task asks for in the language of goals, if there is such a task and it says so."""
+    return TASKS[task].program if task in TASKS else None
 
 
 def _is_ours(task: str) -> bool:

@@ -6,6 +6,7 @@ from functools import partial
 
 import numpy as np
 
+from magical.errors import NoExpertError
 from magical.experts.goals._clustering import cluster_planner
 from magical.experts.goals._moves import moves_in, moves_out, place_on_grid
 from magical.experts.goals.make_line import plan_line
@@ -80,7 +81,7 @@ def _moves(goal: Goal, view: StateView, strategy: Strategy) -> list[Move]:
     if isinstance(goal, Undisturbed):
         return _back(goal, view, strategy)
     if not isinstance(goal, Each | Every | OneOf):
-        raise NotImplementedError(f"no expert for {goal!r}")
+        raise NoExpertError(f"no expert for {goal!r} in a program; register a planner of your own")
     blocks = sorted(goal.selection.blocks(view.scene))
     if isinstance(goal, OneOf) and any(_is_there(goal.place, view, i) for i in blocks):
         return []

@@ -33,7 +33,7 @@ from magical.envs.vector import MagicalVectorEnv
 from magical.errors import InvalidConfigError, RunFolderError
 from magical.evaluation import environments
 from magical.evaluation.policy import Policy
-from magical.experts import EpisodeExpert, expert_for, get_planner
+from magical.experts import EpisodeExpert, expert_for, get_planner, strategy_seed
 from magical.learning.algorithms import Algorithm
 from magical.learning.algorithms.bc import BCConfig, BCTrainer, CloningSettings, make_policy
 from magical.learning.config import IMAGE_OBSERVATIONS
@@ -172,18 +172,18 @@ def collect_labelled(
     observations, _ = envs.reset(seed=seeds)
     policy.reset(np.ones(count, np.bool_))
     experts = [
-        EpisodeExpert(expert_for(env_id.task, seed=seed))
+        EpisodeExpert(expert_for(env_id.task, seed=strategy_seed(env_id.variant, seed)))
         for env_id, seed in zip(envs.env_ids, seeds, strict=True)
     ]
-    taken, labels, poses = _act(envs, observations, policy, experts, beta, rng)
+    taken, labels, tables = _act(envs, observations, policy, experts, beta, rng)
     metadata = {"expert_share": beta, **remarks, **provenance()}
-    bodies = envs.bodies[1].tolist()
+    counts = envs.bodies[1].tolist()
     return [
         Trajectory.from_poses(
             envs.env_ids[row],
             state.scene,
             taken[: state.horizon, row],
-            poses[: state.horizon + 1, row, : bodies[row]],
+            tables[: state.horizon + 1, row, : counts[row]],
             dynamics=Dynamics.from_dict(envs.get_state(row)["dynamics"]),
             seed=seeds[row],
             demonstrator="dagger",
@@ -202,8 +202,8 @@ def _act(
     beta: float,
     rng: np.random.Generator,
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
-    """The actions taken (T, N), the experts' (T, N), and poses (T + 1, N, max bodies, 3)."""
-    poses, taken, labels = [envs.bodies[0][:, :, :3].copy()], [], []
+    """The actions taken (T, N), the experts' (T, N), and bodies (T + 1, N, max bodies, 6)."""
+    bodies, taken, labels = [envs.bodies[0].copy()], [], []
     active = np.ones(envs.num_envs, np.bool_)
     while active.any():
         expert_actions = [
@@ -217,10 +217,10 @@ def _act(
             expert.note_executed(action)
         observations, _, _, truncated, _ = envs.step(actions, active)
         active &= ~truncated
-        poses.append(envs.bodies[0][:, :, :3].copy())
+        bodies.append(envs.bodies[0].copy())
         taken.append(actions)
         labels.append(expert_actions)
-    return np.array(taken), np.array(labels), np.stack(poses)
+    return np.array(taken), np.array(labels), np.stack(bodies)
 
 
 def train_round(
