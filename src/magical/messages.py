@@ -1,4 +1,4 @@
-"""Values in messages: short and printable, whatever a file or a message from outside holds."""
+"""Values in messages and tables: short and printable, whatever a file from outside holds."""
 
 from itertools import islice
 from typing import Any
@@ -49,6 +49,14 @@ def quoted(value: Any, limit: int = MAX_LENGTH) -> str:
 def printable(text: str, limit: int = MAX_LENGTH) -> str:
     """Text without quotes around it, cut to `limit`, with unprintable characters escaped."""
     return _cut("".join(c if c.isprintable() else ascii(c)[1:-1] for c in text[: limit + 1]), limit)
+
+
+def decimals(value: float, digits: int = 2, sign: str = "") -> str:
+    """A number for people, such as `−0.25`: with a minus sign instead of a hyphen, never `-0.00`.
+
+    With `sign="+"`, numbers of at least 0 have a sign, too.
+    """
+    return f"{value:{sign}z.{digits}f}".replace("-", "−")
 
 
 def _cut(text: str, limit: int) -> str:

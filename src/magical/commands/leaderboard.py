@@ -51,9 +51,9 @@ def run(args: argparse.Namespace) -> int:
         rows = [
             (
                 "reference" if row.is_reference else row.rank,
-                row.method,
-                row.statements.mark + interval_text(row.test_all),
-                interval_text(row.gap),
+                row.label,
+                row.statements.mark + interval_text(row.test_all, row.unit) + row.runs_apart,
+                interval_text(row.gap, row.unit),
                 "–" if row.is_reference else row.gap_rank,
                 row.unit,
                 row.learning_class or "–",

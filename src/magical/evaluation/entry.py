@@ -25,6 +25,7 @@ from magical.untrusted import convert, parse_json, read_json
 
 POLICY = "policy"  # in the details: a run folder relative to the entry's, or a policy's name
 THREADS = "threads"  # in the details: CPU threads that the acting network used
+UPDATES = "updates"  # in the details of a training run: `done` and `planned`
 ACTION_SPACE = "action_space"  # in the details, unless it is the discrete one
 TRAINING = ("demonstrations", "num_demos", "pretrained_on")  # in the details of some runs
 SCORES_FILE, ENTRY_FILE = "scores.csv", "entry.json"
@@ -93,13 +94,16 @@ class Entry(_EntryFile):
     ) -> Self:
         """The entry for an evaluation of a policy; raises what the class raises.
 
-        `action_space` is added to the details unless it is the benchmark's discrete one.
+        `action_space` is added to the details unless it is the benchmark's discrete one, and
+        `updates` for the policy of a training run.
         """
         task = evaluation.env_ids[0].task_spec
         observation, privileged = observed(policy, evaluation.observation, task)
         actions = action_spec_of(policy)
         if actions is not DISCRETE:
             details = {**details, ACTION_SPACE: actions.name}
+        if updates := getattr(policy, "updates", None):
+            details = {**details, UPDATES: dict(zip(("done", "planned"), updates, strict=True))}
         return cls(
             method=method,
             scores=scores,

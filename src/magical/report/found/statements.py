@@ -3,6 +3,8 @@
 from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
+from magical.evaluation import Entry
+from magical.evaluation.entry import UPDATES
 from magical.messages import quoted
 
 LOOKS = "looks"
@@ -52,3 +54,20 @@ def stated_looks(details: Mapping[str, Any]) -> int | None:
     raise ValueError(
         f"expected {LOOKS} in the details to be a whole number, 0 or more; found {quoted(looks)}"
     )
+
+
+def unfinished(details: Mapping[str, Any]) -> str:
+    """How far a training run was, such as `25 of 600 updates`; empty if finished or not stated."""
+    match details.get(UPDATES):
+        case {"done": int(done), "planned": int(planned)} if done < planned:
+            return f"{done} of {planned} updates"
+    return ""
+
+
+def marked(label: str, runs: Iterable[Entry]) -> str:
+    """A row's label, with marks in parentheses if its runs see the state, or are unfinished."""
+    entries = list(runs)
+    marks = ["sees the state"] if any(entry.privileged for entry in entries) else []
+    if parts := list(dict.fromkeys(filter(None, (unfinished(e.details) for e in entries)))):
+        marks.append(f"unfinished: {', '.join(parts)}")
+    return f"{label} ({'; '.join(marks)})" if marks else label

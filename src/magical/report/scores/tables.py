@@ -12,6 +12,8 @@ from magical.evaluation.intervals import Interval, rollout_mean
 from magical.evaluation.published import PUBLISHED_RUNS
 from magical.evaluation.statistics import over_runs
 from magical.grouping import group_by
+from magical.messages import decimals
+from magical.report.found.statements import marked
 from magical.report.scores.differences import RULE, counterparts, differences, horizon_of
 from magical.tasks import Task, get_task
 from magical.tasks.axes import SHORT_VARIANTS, short_variant
@@ -48,10 +50,15 @@ class Cell:
         return "rgb({},{},{})".format(*mixed), "#fff" if share > INK_CHANGES else "#222"
 
     @property
+    def number(self) -> str:
+        """The mean as text."""
+        return decimals(self.mean)
+
+    @property
     def text(self) -> str:
         """Text such as `0.88 ± 0.10 (−0.01)`, with the difference from the published mean."""
         difference = f" ({self.beside[0]})" if self.beside else ""
-        return f"{self.mean:.2f} {self.detail}{difference}"
+        return f"{self.number} {self.detail}{difference}"
 
     @property
     def beside(self) -> list[str]:
@@ -117,7 +124,8 @@ def task_table(task: str, entries: Iterable[Entry], published: Iterable[str] = (
     rule = RULE if compared else "score"
     rows = [_method_row(found, row, group, rule) for row, group in runs.items()]
     if compared:
-        rows = [_beside(row, found, runs[row.label], theirs) for row in rows] + published_rows
+        pairs = zip(rows, runs.values(), strict=True)
+        rows = [_beside(row, found, group, theirs) for row, group in pairs] + published_rows
     variants = tuple(map(short_variant, found.variants))
     kept = tuple(row for row in rows if row.cells)
     one_run = any(len(group) == 1 for group in runs.values())
@@ -159,7 +167,7 @@ def _method_row(task: Task, method: str, runs: Sequence[Entry], rule: str) -> Ro
     note = (
         f"mean ± std over {len(runs)} runs" if len(runs) > 1 else "mean, 95% interval over rollouts"
     )
-    return Row(method, cells, note)
+    return Row(marked(method, runs), cells, note)
 
 
 def _beside(row: Row, task: Task, runs: Sequence[Entry], theirs: Mapping[str, str]) -> Row:
@@ -178,9 +186,9 @@ def _beside(row: Row, task: Task, runs: Sequence[Entry], theirs: Mapping[str, st
 def signed(interval: Interval) -> str:
     """A difference with its interval, as text: `+0.02 [−0.10, +0.14]`."""
     if math.isnan(interval.low):
-        return f"{interval.value:+.2f}".replace("-", "−")
-    low, high = interval.low, interval.high
-    return f"{interval.value:+.2f} [{low:+.2f}, {high:+.2f}]".replace("-", "−")
+        return decimals(interval.value, sign="+")
+    value, low, high = (decimals(number, sign="+") for number in interval)
+    return f"{value} [{low}, {high}]"
 
 
 def _cell(runs: Sequence[Sequence[float]], expected: int) -> Cell:
