@@ -20,6 +20,7 @@ from magical.report.found.search import Found, search_results
 from magical.report.found.statements import Statements
 from magical.report.leaderboard.checks import Rejected, by_reasons, check_entries
 from magical.report.leaderboard.ranking import ALL_TASKS, Board, make_boards
+from magical.report.scores.summaries import interval_text, over
 from magical.report.scores.tables import signed
 from magical.tasks.axes import SHORT_VARIANTS
 from studies.generated_tasks.baselines import held_out_tables, method_table, task_table
@@ -51,7 +52,6 @@ from studies.tables import (
     cell_table,
     claim_row,
     listed_names,
-    mean_text,
     order_table,
     score_table,
     variant_cell,
@@ -302,7 +302,7 @@ class Page:
                 drop.method + drop.statements.mark,
                 drop.learning_class or "–",
                 *_stated(drop.statements),
-                *(mean_text(drop.demo), mean_text(drop.test_all), signed(drop.gap)),
+                *(interval_text(drop.demo), interval_text(drop.test_all), signed(drop.gap)),
             ]
             for drop in find_drops([*self.rows, *self.others])
         )
@@ -347,10 +347,11 @@ def _standings(board: Board) -> str:
     header = (*head, "Intervals over", "Demo", "TestAll", "Gap", "Rank by gap")
     rows = [
         [
-            *(row.place, row.method + row.statements.mark, row.learning_class or "–"),
+            *(row.place, row.label + row.statements.mark, row.learning_class or "–"),
             *_stated(row.statements),
-            *(", ".join(row.used) or "–", row.unit),
-            *(mean_text(row.demo), mean_text(row.test_all), signed(row.gap)),
+            *(", ".join(row.used) or "–", row.unit, interval_text(row.demo, row.unit)),
+            interval_text(row.test_all, row.unit) + row.runs_apart,
+            signed(row.gap) + over(row.gap, row.unit),
             row.gap_place,
         ]
         for row in board.standings

@@ -3,8 +3,8 @@
 from collections.abc import Iterator, Sequence
 from operator import attrgetter
 
-from magical.evaluation.intervals import Interval
 from magical.grouping import group_by
+from magical.report.scores.summaries import interval_text
 from magical.report.scores.tables import means_apart, signed
 from magical.tasks.axes import SHORT_VARIANTS, short_variant
 from studies.plan_results import NOT_RUN
@@ -44,7 +44,7 @@ def agreement_row(agreement: Agreement, label: str) -> Iterator[str]:
     yield label
     yield agreement.part
     yield task_names(agreement.tasks)
-    yield from map(mean_text, (agreement.ours, agreement.published))
+    yield from map(interval_text, (agreement.ours, agreement.published))
     yield signed(agreement.difference)
     yield agreement.verdict
 
@@ -72,14 +72,16 @@ def order_table(rows: Sequence[MethodRuns], part: str) -> str:
         return ""
     header = ("Rank", "Row", "Ours", "Published", "Published rank")
     lines = (
-        (p.rank, labels[p.method], mean_text(p.ours), mean_text(p.published), p.published_rank)
+        (
+            p.rank,
+            labels[p.method],
+            interval_text(p.ours),
+            interval_text(p.published),
+            p.published_rank,
+        )
         for p in places
     )
     return f"{part}, {task_names(tasks)}:\n\n{table(header, lines)}"
-
-
-def mean_text(interval: Interval) -> str:
-    return signed(interval).replace("+", "")
 
 
 def cell_table(label: str, cells: Sequence[ComparedCell]) -> str:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from magical.messages import MAX_LENGTH, printable, quoted
+from magical.messages import MAX_LENGTH, decimals, printable, quoted
 from magical.scene import Colour
 
 
@@ -73,3 +73,13 @@ def test_text_without_quotes() -> None:
     assert printable("a name") == "a name"
     assert printable("a\x1b[31m name") == r"a\x1b[31m name"
     assert len(printable("x" * 1000)) <= MAX_LENGTH
+
+
+def test_numbers_for_people_have_one_minus_sign_and_no_negative_zero() -> None:
+    assert [decimals(value) for value in (-0.004, -0.0, 0.004, -0.25)] == [
+        *("0.00", "0.00", "0.00", "−0.25"),
+    ]
+    assert [decimals(value, sign="+") for value in (-0.004, 0.0, 0.25, -0.25)] == [
+        *("+0.00", "+0.00", "+0.25", "−0.25"),
+    ]
+    assert decimals(-0.25, 3) == "−0.250"

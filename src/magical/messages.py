@@ -1,4 +1,4 @@
-"""Values in messages: short and printable, whatever a file or a message from outside holds."""
+"""Values in messages and tables: short and printable, whatever a file from outside holds."""
 
 from itertools import islice
 from typing import Any
@@ -54,6 +54,14 @@ def printable(text: str, limit: int = MAX_LENGTH) -> str:
 def for_terminal(text: str) -> str:
     """Lines of text with escape sequences and other unprintable characters escaped."""
     return "\n".join(printable(line, len(line)) for line in text.split("\n"))
+
+
+def decimals(value: float, digits: int = 2, sign: str = "") -> str:
+    """A number for people, such as `−0.25`: with a minus sign instead of a hyphen, never `-0.00`.
+
+    With `sign="+"`, numbers of at least 0 have a sign, too.
+    """
+    return f"{value:{sign}z.{digits}f}".replace("-", "−")
 
 
 def _cut(text: str, limit: int) -> str:

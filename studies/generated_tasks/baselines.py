@@ -8,16 +8,23 @@ import numpy as np
 
 from magical.envs import EnvId
 from magical.evaluation import Entry
-from magical.evaluation.intervals import Floats
+from magical.evaluation.intervals import FEWEST_RUNS, Floats, Interval
 from magical.evaluation.scores import RolloutScore
-from magical.evaluation.statistics import generalisation_gap, mean, run_means
+from magical.evaluation.statistics import (
+    gap_weights,
+    generalisation_gap,
+    mean,
+    over_rollouts,
+    run_means,
+)
 from magical.grouping import group_by
 from magical.report.found.search import search_results
 from magical.report.found.statements import marked
+from magical.report.scores.summaries import interval_text, over
 from magical.report.scores.tables import signed
 from magical.tasks.axes import SHORT_VARIANTS, full_variant
 from studies.plan_results import LEADERBOARD, NOTHING, PlanResults
-from studies.tables import mean_text, task_names
+from studies.tables import task_names
 from tools.readme_tables import table
 
 PLAN = "held-out"
@@ -153,15 +160,34 @@ def _pair(scores: tuple[float, ...]) -> str:
 
 
 def _gap(runs: Runs, tasks: Sequence[str]) -> str:
-    """Demo's mean less that of All, with an interval over runs."""
+    """Demo's mean less that of All, with an interval over runs, or over rollouts."""
     env_ids = [EnvId(task, full_variant(variant)) for task in tasks for variant in ENDS]
     scores = run_means(runs, env_ids)
-    return signed(generalisation_gap(scores[~np.isnan(scores).all(axis=1)], env_ids))
+    found = generalisation_gap(scores[~np.isnan(scores).all(axis=1)], env_ids)
+    if _lacks_interval(scores, found):
+        found = over_rollouts(runs, env_ids, gap_weights(env_ids))
+    return signed(found) + over(found, "runs")
 
 
 def _over_tasks(runs: Runs, tasks: Sequence[str], variant: str, rule: str = "score") -> str:
-    """With an interval over runs."""
+    """With an interval over runs, or over rollouts."""
     means = _means(runs, tasks, variant, rule)
     missing = np.isnan(means)
     kept = means[~missing.all(axis=1)][:, ~missing.all(axis=0)]
-    return mean_text(mean(kept)) if kept.size else "–"
+    if not kept.size:
+        return "–"
+    found = mean(kept)
+    if _lacks_interval(kept, found):
+        places = np.flatnonzero(~missing.all(axis=0)).tolist()
+        env_ids = [EnvId(tasks[place], full_variant(variant)) for place in places]
+        found = over_rollouts(runs, env_ids, np.full(len(env_ids), 1 / len(env_ids)), rule)
+    return interval_text(found, "runs")
+
+
+def _lacks_interval(scores: Floats, found: Interval) -> bool:
+    """Whether several runs are too few for an interval over them, or do not differ.
+
+    The tables give a single run's means without an interval.
+    """
+    runs = (~np.isnan(scores)).sum(axis=0)  # (environments,)
+    return bool(runs.max() > 1 and (np.isnan(found.low) or runs.min() < FEWEST_RUNS))

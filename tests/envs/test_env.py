@@ -51,6 +51,24 @@ def test_episode_truncates_at_the_horizon_and_scores_there() -> None:
     assert reward == info["eval_score"] == env.scores().score
 
 
+def test_gymnasium_s_time_limit_is_refused() -> None:
+    """It would cut episodes off before they are scored."""
+    expected = "max_episode_steps=10: .* expected horizon=10 instead"
+    for env_id in (CORNER, "magical/MoveToCorner-Demo-LoRes4E-v0"):
+        with pytest.raises(InvalidConfigError, match=expected):
+            gym.make(env_id, max_episode_steps=10)
+        with pytest.raises(InvalidConfigError, match=expected):
+            gym.spec(env_id).make(max_episode_steps=10)
+        with pytest.raises(InvalidConfigError, match=expected):
+            gym.make_vec(env_id, 2, workers=0, max_episode_steps=10)
+    env = _make(horizon=10)
+    assert env.horizon == 10
+    assert env.spec is not None
+    again = gym.make(env.spec).unwrapped
+    assert isinstance(again, MagicalEnv)
+    assert again.horizon == 10
+
+
 def test_rendering_without_a_render_mode_is_warned_of() -> None:
     with pytest.warns(UserWarning, match='with render_mode="rgb_array" or "human"'):
         assert _make().render() is None

@@ -65,5 +65,6 @@ def test_the_difference_from_a_published_mean_has_welch_s_interval() -> None:
     assert (value, low, high) == pytest.approx((0.1, 0.1 - half, 0.1 + half))
     _, low, high = difference_from_published([0.996] * 5, Spread(1.0, 0.0))  # rounded to 0.00
     assert low < 0.0 < high
-    one = difference_from_published([0.25], Spread(0.5, 0.1))
-    assert one == pytest.approx((-0.25, math.nan, math.nan), nan_ok=True)
+    for few in ([0.25], [0.2, 0.3]):
+        found = difference_from_published(few, Spread(0.5, 0.1))
+        assert found == pytest.approx((-0.25, math.nan, math.nan), nan_ok=True)

@@ -18,6 +18,7 @@ from magical.envs import EnvId
 from magical.evaluation import read_entry
 from magical.learning import algorithm_names
 from magical.report.found.search import find_results
+from magical.report.leaderboard.checks import faults
 from magical.scene import Poses
 from magical.tasks import get_task, register_task, unregister_task
 from magical.tasks.registry import import_tasks
@@ -117,6 +118,31 @@ def test_an_evaluated_run_says_what_it_is_and_can_be_verified(
     assert main(["evaluate", str(run), *options, "--out", str(linked)]) == 0
     assert main(["verify", str(linked), "--workers", "0"]) == 0
     assert find_results([linked, run]).not_evaluated == []
+
+
+def test_an_unfinished_run_says_so_wherever_it_is_evaluated(
+    demos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = tmp_path / "run"
+    options = ["--variants", "Demo", "--rollouts", "1", "--horizon", "5", "--workers", "0"]
+    evaluate = ["evaluate", str(run), *options, "--out", str(run)]
+    assert main(bc(demos, run, "--stop-after", "1")) == 0
+    assert main([*evaluate, "--json"]) == 0
+    captured = capsys.readouterr()
+    expected = {"done": 1, "planned": 4}
+    assert json.loads(captured.out.splitlines()[-1])["unfinished"] == expected
+    assert f"warning: {run}: training is unfinished: 1 of 4 updates are done" in captured.err
+    assert read_entry(run).details["updates"] == expected
+    assert main(["report", str(run)]) == 0
+    assert "run (unfinished: 1 of 4 updates)" in capsys.readouterr().out
+    assert any("unfinished (1 of 4 updates)" in fault for fault in faults(read_entry(run)))
+    assert main(["train", "bc", "--out", str(run), "--resume"]) == 0
+    capsys.readouterr()
+    assert main([*evaluate, "--json"]) == 0
+    captured = capsys.readouterr()
+    assert "unfinished" not in json.loads(captured.out.splitlines()[-1])
+    assert "warning" not in captured.err
+    assert not any("unfinished" in fault for fault in faults(read_entry(run)))
 
 
 def test_errors_say_what_to_do_and_have_status_1(

@@ -22,9 +22,10 @@ def _parts(board: Leaderboard) -> Iterator[str]:
     yield (
         "# Leaderboard\n\nMethods by their mean score on TestAll, beside the generalisation gap "
         "(Demo minus TestAll), with 95% intervals over training runs, or over rollouts where there "
-        "is one run. Entries are those of the [studies](studies/README.md) and those that were "
-        "[submitted](entries/README.md) and accepted: they follow [the protocol](protocol.md), and "
-        "a sample of their rollouts was rerun. A reference learned nothing and sees the true "
+        "are fewer than three runs or runs do not differ. Entries are those of the "
+        "[studies](studies/README.md) and those that were [submitted](entries/README.md) and "
+        "accepted: they follow [the protocol](protocol.md), and a sample of their rollouts was "
+        "rerun. A reference learned nothing and sees the true "
         "state; it is not ranked. Methods with a prior made for this benchmark are ranked "
         "separately; †: test variants had been evaluated while the method was designed."
     )
@@ -46,8 +47,9 @@ def _standings(part: Board) -> str:
 def _row(row: Standing) -> list[object]:
     return [
         "reference" if row.is_reference else row.rank,
-        row.method + row.statements.mark,
-        *(interval_text(value).replace(" ", NO_BREAK) for value in (row.test_all, row.gap)),
+        row.label + row.statements.mark,
+        interval_text(row.test_all, row.unit).replace(" ", NO_BREAK) + row.runs_apart,
+        interval_text(row.gap, row.unit).replace(" ", NO_BREAK),
         row.learning_class or "–",
         ", ".join(row.used) or "nothing",
         row.statements.demonstrations or "–",

@@ -177,7 +177,7 @@ def print_table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> None
 
 def _is_number(cell: str) -> bool:
     try:
-        float(cell or "0")
+        float(cell.replace("−", "-") or "0")
     except ValueError:
         return False
     return True

@@ -30,7 +30,7 @@ from magical.commands._common import (
     print_table,
 )
 from magical.errors import MagicalError
-from magical.messages import quoted
+from magical.messages import decimals, quoted
 from magical.runs.sources import parse_source
 from magical.scene.constants import MAX_NUDGE
 from magical.tasks import parse_horizon
@@ -121,14 +121,26 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(f"--leaderboard: the entry would not be ranked: {'; '.join(why)}")
     if args.out:
         _prepare_folder(args, entry.details[POLICY])
+    unfinished = _unfinished(policy)
+    if unfinished:
+        log(
+            f"warning: {args.policy}: training is unfinished: {unfinished['done']} of "
+            f"{unfinished['planned']} updates are done; magical train with --resume continues it"
+        )
     with ProgressBar("rollouts", len(evaluation.env_ids) * args.rollouts) as bar:
         scores = roll_out(policy, evaluation, workers=args.workers, progress=bar.advance)
     print_scores(scores)
     if args.out:
         replace(entry, scores=scores).write(args.out)
         log(f"wrote scores.csv and entry.json to {args.out}")
-    print_json(args, summarise(scores))
+    print_json(args, summarise(scores) | ({"unfinished": unfinished} if unfinished else {}))
     return 0
+
+
+def _unfinished(policy: "Policy") -> dict[str, int]:
+    """The updates that are done and planned; empty unless the policy's training is unfinished."""
+    done, planned = getattr(policy, "updates", None) or (0, 0)
+    return {"done": done, "planned": planned} if done < planned else {}
 
 
 def _prepare_folder(args: argparse.Namespace, policy: str) -> None:
@@ -213,12 +225,17 @@ def print_scores(scores: "Sequence[RolloutScore]") -> None:
             rollouts = np.array([row.score for row in cell])
             value, low, high = rollout_mean(rollouts)
             published = np.mean([row.published_code_score for row in cell])
-            gap = "" if variant == "Demo" or np.isnan(of_demo) else f"{of_demo - value:.3f}"
+            gap = (
+                ""
+                if variant == "Demo" or np.isnan(of_demo)
+                else decimals(float(of_demo) - value, 3)
+            )
             interval, std = f"{low:.3f} to {high:.3f}", f"{rollouts.std():.3f}"
             rows.append((task, variant, f"{value:.3f}", interval, std, gap, f"{published:.3f}"))
     print_table(header, rows)
     env_ids = list(dict.fromkeys(row.env_id for row in scores))
     with suppress(ValueError):  # no task has both Demo and TestAll
-        value, low, high = over_rollouts([scores], env_ids, gap_weights(env_ids))
-        print(f"generalisation gap (Demo minus TestAll): {value:.3f} ({low:.3f} to {high:.3f})")
+        overall = over_rollouts([scores], env_ids, gap_weights(env_ids))
+        mean, least, most = (decimals(number, 3) for number in overall)
+        print(f"generalisation gap (Demo minus TestAll): {mean} ({least} to {most})")
     print("Intervals are over rollouts and do not include the spread between training runs.")

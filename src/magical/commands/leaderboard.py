@@ -52,9 +52,9 @@ def run(args: argparse.Namespace) -> int:
         rows = [
             (
                 row.place,
-                row.method,
-                row.statements.mark + interval_text(row.test_all),
-                interval_text(row.gap),
+                row.label,
+                row.statements.mark + interval_text(row.test_all, row.unit) + row.runs_apart,
+                interval_text(row.gap, row.unit),
                 row.gap_place,
                 row.unit,
                 row.learning_class or "–",

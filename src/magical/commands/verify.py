@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from magical.commands._common import add_count, add_json, add_workers, print_json, print_table
+from magical.messages import decimals
 
 if TYPE_CHECKING:
     from magical.evaluation.verification import Verification
@@ -106,8 +107,8 @@ def _verdict(found: "Verification") -> str:
             "another machine or other versions"
         )
     value, low, high = found.mean_changes()[0]
-    bounds = "" if math.isnan(low) else f" ({low:+.3f} to {high:+.3f})"
-    change = f"the mean score changed by {value:+.3f}{bounds}"
+    bounds = "" if math.isnan(low) else f" ({decimals(low, 3, '+')} to {decimals(high, 3, '+')})"
+    change = f"the mean score changed by {decimals(value, 3, '+')}{bounds}"
     elsewhere = "the entry was evaluated on another machine or with other versions"
     if found.confirmed:
         return (

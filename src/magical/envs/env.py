@@ -14,7 +14,12 @@ from magical.envs.ids import EnvId
 from magical.envs.keys import KEYS_TO_ACTION
 from magical.envs.saved_state import parse_state, warn_of_departure
 from magical.envs.window import Window
-from magical.errors import NotPicklableError, ResetNeededError, UnknownNameError
+from magical.errors import (
+    InvalidConfigError,
+    NotPicklableError,
+    ResetNeededError,
+    UnknownNameError,
+)
 from magical.messages import quoted
 from magical.observe import Observation, make_spec
 from magical.observe.arrays import copy_arrays
@@ -266,6 +271,21 @@ def not_picklable(name: str, constructor: str) -> NotPicklableError:
     return NotPicklableError(
         f"{name} cannot be pickled or copied: its simulation is not plain data; make another one "
         f"with {constructor}, and carry the episode over with get_state and set_state"
+    )
+
+
+def refuse_time_limit(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
+    """The environment; raises `InvalidConfigError` if it is in Gymnasium's `TimeLimit`."""
+    if isinstance(env, gym.wrappers.TimeLimit) and env.spec is not None:
+        raise time_limit_error(env.spec.max_episode_steps)
+    return env
+
+
+def time_limit_error(steps: Any) -> InvalidConfigError:
+    """The error for `max_episode_steps`, by which Gymnasium ends episodes without their scores."""
+    return InvalidConfigError(
+        f"max_episode_steps={quoted(steps)}: episodes would be cut off before they are scored; "
+        f"expected horizon={quoted(steps)} instead"
     )
 
 

@@ -1,11 +1,13 @@
 """Registration with Gymnasium, without importing any environment."""
 
+import copy
 import warnings
+from dataclasses import replace
 from itertools import product
 from typing import Any
 
 import gymnasium as gym
-from gymnasium.envs.registration import EnvSpec
+from gymnasium.envs.registration import EnvSpec, WrapperSpec
 
 from magical.envs.ids import NAMESPACE, EnvId
 from magical.observe.presets import PRESETS
@@ -17,6 +19,20 @@ from magical.tasks.registry import GROUP
 ENVIRONMENT = "magical.envs.env:MagicalEnv"
 VECTOR_ENVIRONMENT = "magical.envs.vector:make_vector_env"
 PUBLISHED_ID = "magical.envs.registration:make_by_published_id"
+NO_TIME_LIMIT = WrapperSpec("NoTimeLimit", "magical.envs.env:refuse_time_limit", {})
+
+
+class RegisteredSpec(EnvSpec):
+    """A specification with which `gymnasium.make` refuses `max_episode_steps`.
+
+    Gymnasium tells entry points nothing of this argument, so what refuses it is registered as a
+    wrapper, which is added after `TimeLimit`. `make_vec` tells its entry point, and allows no such
+    wrappers: copies, which it makes, are without.
+    """
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> EnvSpec:
+        kwargs = copy.deepcopy(self.kwargs, memo)
+        return replace(self, kwargs=kwargs, additional_wrappers=())
 
 
 def register_envs(task: str) -> None:
@@ -59,12 +75,13 @@ def register_all() -> None:
 def _spec(
     env_id: str, entry_point: str, vector_entry_point: str, kwargs: dict[str, Any]
 ) -> EnvSpec:
-    return EnvSpec(
+    return RegisteredSpec(
         id=str(env_id),
         entry_point=entry_point,
         vector_entry_point=vector_entry_point,
         order_enforce=False,
         kwargs=kwargs,
+        additional_wrappers=(NO_TIME_LIMIT,),
     )
 
 

@@ -31,6 +31,7 @@ from magical.untrusted import convert, parse_json, read_json
 
 POLICY = "policy"  # in the details: a run folder relative to the entry's, or a policy's name
 THREADS = "threads"  # in the details: CPU threads that the acting network used
+UPDATES = "updates"  # in the details of a training run: `done` and `planned`
 ACTION_SPACE = "action_space"  # in the details, unless it is the discrete one
 TRAINING_SEED = "training_seed"  # in the details of a trained policy, if known
 DATE = "date"  # in the details: when the evaluation began, ISO 8601
@@ -101,7 +102,8 @@ class Entry(_EntryFile):
     ) -> Self:
         """The entry for an evaluation of a policy; raises what the class raises.
 
-        `action_space` is added to the details unless it is the benchmark's discrete one.
+        `action_space` is added to the details unless it is the benchmark's discrete one, and
+        `updates` for the policy of a training run.
         """
         if (count := len(evaluation.env_ids) * evaluation.rollouts) > MAX_ROWS:
             raise ScoresError(f"expected at most {MAX_ROWS} rollouts in an entry, found {count}")
@@ -110,6 +112,8 @@ class Entry(_EntryFile):
         actions = action_spec_of(policy)
         if actions is not DISCRETE:
             details = {**details, ACTION_SPACE: actions.name}
+        if updates := getattr(policy, "updates", None):
+            details = {**details, UPDATES: dict(zip(("done", "planned"), updates, strict=True))}
         return cls(
             method=method,
             scores=scores,

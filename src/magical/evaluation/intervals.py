@@ -15,17 +15,25 @@ Floats = NDArray[np.float64]
 
 CONFIDENCE = 0.95
 TINY = 1e-12  # smaller variances are only rounding error
+FEWEST_RUNS = 3  # for an interval over runs; two often agree by chance
 
 
 class Interval(NamedTuple):
     """An estimate with its confidence interval.
 
-    `low` and `high` are NaN if there is no interval: one run does not show the spread between runs.
+    `low` and `high` are NaN if there is no interval: one run, or several that do not differ, do not
+    show the spread between runs.
     """
 
     value: float
     low: float
     high: float
+
+
+class OverRollouts(Interval):
+    """An interval over rollouts: it does not include the spread between training runs."""
+
+    __slots__ = ()
 
 
 def t_interval(

@@ -36,6 +36,7 @@ class Policy(Protocol):
     - `tasks` (sequence of names): the tasks it was made for.
     - `in_processes` (bool): copies of it may act in several processes; it can be pickled.
     - `modules(tasks)`: the modules that such processes must import first.
+    - `updates` (two integers): the updates of its training that are done, and those planned.
     - `exact` (bool): its actions are the same on every machine, so `magical verify` expects equal
       scores wherever it runs. Those of a network are not.
     """

@@ -15,7 +15,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from magical.errors import UnknownNameError
-from magical.evaluation.intervals import CONFIDENCE, Interval, check_range, welch_interval
+from magical.evaluation.intervals import (
+    CONFIDENCE,
+    FEWEST_RUNS,
+    Interval,
+    check_range,
+    welch_interval,
+)
 from magical.evaluation.statistics import Spread
 from magical.tasks.axes import full_variant, short_variant
 
@@ -67,7 +73,8 @@ def difference_from_published(
     """The mean of our runs minus the published mean, with Welch's t interval over runs.
 
     The published tables give a standard deviation over five runs, but not its divisor; the interval
-    assumes the one that makes it wider (the number of runs). For one run there is no interval.
+    assumes the one that makes it wider (the number of runs). There is no interval for fewer runs
+    than `FEWEST_RUNS`.
 
     Args:
         means: (runs,), each run's mean score in one environment, by the published code's rule.
@@ -82,7 +89,7 @@ def difference_from_published(
         raise ValueError(f"means: expected one for each run, found an array of shape {ours.shape}")
     check_range(ours)
     value = float(ours.mean()) - published.mean
-    if len(ours) < 2:
+    if len(ours) < FEWEST_RUNS:
         return Interval(value, math.nan, math.nan)
     published_std = max(published.std, RESOLUTION)
     variances = ours.var(ddof=1) / len(ours), published_std**2 / (PUBLISHED_RUNS - 1)

@@ -24,6 +24,7 @@ from magical.evaluation.intervals import (
     CONFIDENCE,
     Floats,
     Interval,
+    OverRollouts,
     check_range,
     rollout_mean,
     t_interval,
@@ -80,21 +81,25 @@ def run_means(
 
 
 def over_rollouts(
-    runs: Sequence[Iterable[RolloutScore]], env_ids: Sequence[EnvId], weights: ArrayLike
-) -> Interval:
+    runs: Sequence[Iterable[RolloutScore]],
+    env_ids: Sequence[EnvId],
+    weights: ArrayLike,
+    rule: str = "score",
+) -> OverRollouts:
     """The weighted sum of the environments' means, with an interval over the runs' rollouts.
 
-    It does not include the spread between training runs, so it is for methods with only one run.
+    It is for methods with few runs, or whose runs do not differ.
 
     Args:
         runs: every run's rollouts, such as `Entry.scores`, with at least one in each environment.
         env_ids: the environments.
         weights: (environments,), such as 1 / number of environments, or `gap_weights`.
+        rule: as for `run_means`.
 
     Raises:
         ValueError: an environment without a rollout.
     """
-    scores = [by_environment(run) for run in runs]
+    scores = [by_environment(run, rule) for run in runs]
     cells, factors = [], []
     for env_id, weight in zip(env_ids, np.asarray(weights), strict=True):
         rollouts = [run[env_id] for run in scores if env_id in run]
@@ -102,7 +107,7 @@ def over_rollouts(
             raise ValueError(f"runs: expected rollouts in {env_id}, found none")
         cells += [rollout_mean(column) for column in rollouts]
         factors += [weight / len(rollouts)] * len(rollouts)
-    return weighted_sum(cells, factors)
+    return OverRollouts(*weighted_sum(cells, factors))
 
 
 def over_runs(scores: ArrayLike) -> Spread:
@@ -121,6 +126,9 @@ def mean(scores: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
     Args:
         scores: (runs, environments), see the module's docstring.
         confidence: nominal coverage of the interval.
+
+    Returns:
+        The interval; its bounds are NaN if a stratum has one run, or if the runs do not differ.
 
     Raises:
         ValueError: an array of another shape, scores outside [0, 1], or an all-NaN row or column.
@@ -144,9 +152,11 @@ def interquartile_mean(scores: ArrayLike, confidence: float = CONFIDENCE) -> Int
     winsorised = np.clip(table, middle[0], middle[-1])
     value, contributions = float(middle.mean()), np.nansum(winsorised, axis=1) / len(middle)
     if table.shape[1] > 1 or len(table) == 1:
-        return t_interval(value, _by_stratum(table, contributions), confidence, (0.0, 1.0))
+        strata = _by_stratum(table, contributions)
+        return _with_width(t_interval(value, strata, confidence, (0.0, 1.0)))
     variance = len(table) * contributions.var(ddof=1)
-    return welch_interval(value, [variance], len(middle) - 1.0, confidence, (0.0, 1.0))
+    found = welch_interval(value, [variance], len(middle) - 1.0, confidence, (0.0, 1.0))
+    return _with_width(found)
 
 
 def optimality_gap(scores: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
@@ -232,7 +242,7 @@ def contrast(
         strata += _by_stratum(table, _contributions(table, np.full(size, weight / size)))
     value = float(sum(stratum.sum() for stratum in strata))
     bounds = sum(w for w in weights if w < 0), sum(w for w in weights if w > 0)
-    return t_interval(value, strata, confidence, bounds)
+    return _with_width(t_interval(value, strata, confidence, bounds))
 
 
 def probability_of_improvement(
@@ -312,7 +322,13 @@ def _weighted_means(table: Floats, weights: Floats, confidence: float) -> Interv
     contributions = _contributions(table, weights)
     bounds = float(weights[weights < 0].sum()), float(weights[weights > 0].sum())
     strata = _by_stratum(table, contributions)
-    return t_interval(float(contributions.sum()), strata, confidence, bounds)
+    return _with_width(t_interval(float(contributions.sum()), strata, confidence, bounds))
+
+
+def _with_width(interval: Interval) -> Interval:
+    """The interval; without bounds if it has no width, since equal runs do not show a spread."""
+    has_width = interval.high - interval.low > ROUNDING
+    return interval if has_width else Interval(interval.value, np.nan, np.nan)
 
 
 def _contributions(table: Floats, weights: Floats) -> Floats:

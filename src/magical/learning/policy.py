@@ -27,7 +27,10 @@ class TrainedPolicy:
     Attributes:
         network, config, greedy: see `__init__`.
         tasks, observation, action_space: as in training.
+        updates: how many updates of training are done and how many planned, if it is of a run.
     """
+
+    updates: tuple[int, int] | None = None
 
     def __init__(
         self, network: nn.Module, config: Config, compute: Compute, greedy: bool = False
@@ -168,7 +171,10 @@ def load_policy(run: Path | str, device: str = "auto", greedy: bool = False) -> 
     state = load_newest_checkpoint(folder)
     with restoring(folder / CHECKPOINT):
         network.load_state_dict(state["policy"])
+        done = int(state["step"])
     recorded = read_compute(read_json(folder / RECORD), folder)
     precision = recorded.precision if recorded and chosen == recorded.device else "float32"
     kind = algorithm.policy or NetworkPolicy
-    return kind(network.to(chosen), config, Compute(chosen, precision), greedy)
+    policy = kind(network.to(chosen), config, Compute(chosen, precision), greedy)
+    policy.updates = done, config.num_updates
+    return policy

@@ -52,6 +52,10 @@ def test_a_right_entry_has_no_faults() -> None:
         ({"details": {"learned_from": [["deep"]]}}, "expected learned_from"),
         ({"details": {"learned_from": [], "looks": -1}}, "expected looks in the details"),
         ({"details": {"learned_from": [], "looks": True}}, "expected looks in the details"),
+        (
+            {"details": {"learned_from": [], "updates": {"done": 25, "planned": 600}}},
+            "unfinished (25 of 600 updates)",
+        ),
         ({"observation": ""}, "observation '' is unknown here"),
         ({"observation": "State"}, "observation 'State' is unknown here"),
         ({"observation": "state_vector:SPEC"}, "'state_vector:SPEC' is unknown here"),

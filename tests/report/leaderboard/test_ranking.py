@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from magical.evaluation.intervals import OverRollouts
 from magical.report.found.search import Result
 from magical.report.leaderboard import ranking
 from magical.report.leaderboard.ranking import (
@@ -15,6 +16,7 @@ from magical.report.leaderboard.ranking import (
     WITH_PRIOR,
     make_boards,
 )
+from magical.report.scores.summaries import interval_text
 from magical.tasks import TASKS
 from magical.tasks.programs.suite import HELD_OUT, TRAINING, task_name
 from tests.report.conftest import make_entry
@@ -57,6 +59,9 @@ def test_methods_are_ranked_by_test_all_and_by_gap() -> None:
     assert high.gap == pytest.approx((0.2, 0.2 - half, 0.2 + half))
     assert high.test_all.value == pytest.approx(0.6)
     assert high.unit == "3 runs"
+    # On TestAll they do not differ.
+    assert isinstance(high.test_all, OverRollouts)
+    assert interval_text(high.test_all, high.unit).endswith(" over rollouts")
 
 
 def test_methods_of_fewer_than_three_runs_come_last_without_a_rank() -> None:
@@ -103,6 +108,12 @@ def test_what_learned_nothing_from_true_states_is_a_reference_without_a_rank() -
         ("b", False),
     ]
     assert [row.rank for row in board.standings[1:]] == [1, 2, 3]
+    assert board.standings[1].label == "learned from states (sees the state)"
+
+
+def test_few_runs_of_which_some_fail_are_listed() -> None:
+    (row,) = make_boards([run("a", 1.0, score) for score in (1.0, 0.0, 1.0)])[1].standings
+    assert row.runs_apart == " (1.00, 0.00, 1.00)"
 
 
 def test_equal_scores_share_a_rank() -> None:

@@ -35,7 +35,7 @@ def test_csv_has_every_number(results: Path, tmp_path: Path) -> None:
     published = published_score("FindDupe", BC, "Demo")
     assert published is not None
     assert (demo["task"], demo["variant"], demo["method"]) == ("FindDupe", "Demo", BC)
-    assert (demo["runs"], demo["interval_over"]) == ("2", "runs")
+    assert (demo["runs"], demo["interval_over"]) == ("2", "rollouts")
     assert float(demo["score"]) == pytest.approx(0.6)
     assert float(demo["score_std"]) == pytest.approx(0.2)
     assert float(demo["published_code_score"]) == pytest.approx(0.3)

@@ -4,7 +4,9 @@ import math
 
 import pytest
 
+from magical.envs import EnvId
 from magical.evaluation import Entry
+from magical.evaluation.intervals import OverRollouts
 from magical.evaluation.statistics import probability_of_improvement
 from magical.report.scores.methods import ComparedMethod, compared_methods
 from magical.report.scores.summaries import (
@@ -15,7 +17,7 @@ from magical.report.scores.summaries import (
     interval_text,
     profiles,
 )
-from magical.report.scores.tables import TextTable
+from magical.report.scores.tables import RUNS_APART, TextTable
 from tests.report.conftest import make_entry
 
 NAMES = {
@@ -25,6 +27,7 @@ NAMES = {
     "dupe": "FindDupe-Demo",
     "dupe_all": "FindDupe-TestAll",
 }
+DEMO = EnvId("MakeLine", "Demo")
 T2, T4 = 4.302653, 2.776445  # 97.5% quantiles of Student's t
 
 
@@ -94,10 +97,48 @@ def test_the_generalisation_gap_is_demo_less_all_by_task() -> None:
     gap = row.generalisation_gap()
     assert gap is not None
     assert gap.value == pytest.approx(0.3)
-    (row,), _ = compared([entry("a", **cells), entry("a", **cells)])
-    assert row.generalisation_gap() == pytest.approx((0.3, 0.3, 0.3))
     (row,), _ = compared([entry("a", line=[0.9], dupe_all=[0.1])])
     assert row.generalisation_gap() is None
+
+
+@pytest.mark.parametrize(("runs", "unit"), [(2, "rollouts of 2 runs"), (3, "3 runs")])
+def test_runs_that_do_not_differ_have_an_interval_over_their_rollouts(runs: int, unit: str) -> None:
+    """A zero-width interval would claim that the method is known exactly."""
+    cells = {"line": [0.0, 1.0] * 5, "line_all": [0.0, 1.0] * 5}
+    (row,), grid = compared([entry("a", **cells) for _ in range(runs)])
+    found = row.mean()
+    assert isinstance(found, OverRollouts)
+    # Wilson's interval of 5 of 10, for the mean of independent cells.
+    half = (0.76337 - 0.5) / math.sqrt(2 * runs)
+    assert found == pytest.approx((0.5, 0.5 - half, 0.5 + half), abs=1e-4)
+    over = "" if runs < 3 else " over rollouts"
+    assert grid.rows[0][1:3] == (unit, f"0.50 [{0.5 - half:.2f}, {0.5 + half:.2f}]{over}")
+    assert grid.rows[0][3:5] == ("0.50", "0.50")
+    assert grid.rows[0][5].startswith("0.00 [−0.")
+
+
+def test_two_runs_that_differ_have_an_interval_over_their_rollouts() -> None:
+    pair = [entry("a", line=[score] * 10) for score in (0.0, 1.0)]
+    rows, grid = compared([*pair, *[entry("b", line=[score]) for score in (0.1, 0.2, 0.3)]])
+    assert [row.unit for row in rows] == ["rollouts of 2 runs", "3 runs"]
+    assert isinstance(rows[1].difference(rows[0]), OverRollouts)
+    assert grid.rows[1][6].endswith("] over rollouts")
+
+
+def test_few_runs_of_which_some_fail_are_listed() -> None:
+    scores = (1.0, 1.0, 0.0)
+    multi = [entry("multi", line=[s], dupe=[s], line_all=[0.0]) for s in scores]
+    (row,), grid = compared(multi)
+    assert grid.rows[0][2].endswith("] (0.67, 0.67, 0.00)")
+    assert row.on([DEMO]).means_apart() == " (1.00, 1.00, 0.00)"
+    assert row.gaps_apart() == " (1.00, 1.00, 0.00)"
+    assert grid.note.endswith(RUNS_APART)
+    single = [entry("single", line=[s]) for s in scores]
+    single += [entry("single", dupe=[s]) for s in (1.0, 0.9, 0.8)]
+    (row,), grid = compared(single)
+    assert row.means_apart() == " (MakeLine: 1.00, 1.00, 0.00)"
+    even = [entry("a", line=[s]) for s in (1.0, 0.9, 0.8)]
+    assert RUNS_APART not in compared(even)[1].note
 
 
 def test_only_environments_that_all_have_count() -> None:
@@ -112,11 +153,9 @@ def test_only_environments_that_all_runs_on_a_task_have_count() -> None:
     runs = [entry("a", line=[1.0], line_all=[0.0]), entry("a", line=[1.0]), entry("a", dupe=[0.4])]
     rows, grid = compared(runs)
     assert grid.note.startswith("Over 2 environments.")
-    assert "there is no interval" in grid.note
     assert rows[0].mean().value == pytest.approx((1.0 + 0.4) / 2)
-    assert rows[0].unit == "1 to 2 runs"  # two runs on one task, one on the other
-    assert math.isnan(rows[0].mean().low)
-    assert interval_text(rows[0].mean()) == "0.70"
+    assert rows[0].unit == "rollouts of 1 to 2 runs"  # two on one task, one on the other
+    assert isinstance(rows[0].mean(), OverRollouts)
 
 
 def test_rows_and_header_fit() -> None:
@@ -125,8 +164,9 @@ def test_rows_and_header_fit() -> None:
     assert grid.header[4:] == (
         *("optimality gap", "generalisation gap", "difference from a", "P(better than a)"),
     )
-    even = "0.50 [0.50, 0.50]"
-    assert grid.rows[0] == ("a", "2 runs", even, even, even, "0.00 [0.00, 0.00]", "–", "–")
+    assert grid.rows[0][:2] == ("a", "rollouts of 2 runs")
+    assert grid.rows[0][3:5] == ("0.50", "0.50")
+    assert grid.rows[0][6:] == ("–", "–")
     assert grid.rows[1][1:5] == ("rollouts of 1 run", "0.50 [0.19, 0.81]", "0.50", "0.50")
     _, grid = compared([entry("a", line=[0.5])])
     assert grid.header[-1] == "generalisation gap"
@@ -135,7 +175,8 @@ def test_rows_and_header_fit() -> None:
 
 def test_gaps_have_a_column_for_each_axis_that_there_is() -> None:
     names = ("line", "line_jitter", "line_all")
-    means = [("a", (0.9, 0.7, 0.4)), ("a", (0.9, 0.8, 0.5)), ("b", (1.0, 1.0, 0.0))]
+    means = [("a", (0.9, 0.7, 0.4)), ("a", (0.9, 0.8, 0.5)), ("a", (0.9, 0.9, 0.5))]
+    means.append(("b", (1.0, 1.0, 0.0)))
     entries = [
         entry(method, **{name: [mean] for name, mean in zip(names, scores, strict=True)})
         for method, scores in means
@@ -143,9 +184,8 @@ def test_gaps_have_a_column_for_each_axis_that_there_is() -> None:
     grid = gap_table(compared_methods(entries))
     assert grid is not None
     assert grid.header == ("method", "Jitter", "All")
-    # The runs' gaps are 0.2 and 0.1, and 0.5 and 0.4: half of t(1) = 12.706 times their std's root.
-    half = 12.706 * math.sqrt(0.005 / 2)
-    assert grid.rows[0][1] == f"0.15 [{0.15 - half:.2f}, {0.15 + half:.2f}]"
+    half = T2 * math.sqrt(0.01 / 3)  # the runs' gaps are 0.2, 0.1 and 0.0
+    assert grid.rows[0][1] == f"0.10 [−{half - 0.1:.2f}, {0.1 + half:.2f}]"
     assert grid.rows[1][2].startswith("1.00 [")
     assert gap_table(compared_methods([entry("a", line_all=[1.0])])) is None
 

@@ -29,7 +29,7 @@ def test_a_method_is_held_against_the_published_one_of_its_name() -> None:
 
 
 def test_differences_are_by_the_published_rule() -> None:
-    runs = [entry("FindDupe-Demo", 0.8), entry("FindDupe-Demo", 1.0)]
+    runs = [entry("FindDupe-Demo", score) for score in (0.8, 0.9, 1.0)]
     found = differences(get_task("FindDupe"), runs, BC)
     published = published_score("FindDupe", BC, "Demo")
     assert published is not None
@@ -43,6 +43,16 @@ def test_differences_are_by_the_published_rule() -> None:
 def test_only_runs_with_the_published_horizon_are_compared(horizon: str, compared: bool) -> None:
     run = entry("ClusterShape-Demo", 1.0, horizon=horizon)
     assert bool(differences(get_task("ClusterShape"), [run], BC)) == compared
+
+
+def test_runs_that_see_the_state_are_marked_and_not_compared_with_rows_of_pixels() -> None:
+    run = entry("FindDupe-Demo", 1.0, "mine", observation="state")
+    assert not differences(get_task("FindDupe"), [run], BC)
+    table = task_table("FindDupe", [run, entry("FindDupe-Demo", 1.0, "other")], [BC])
+    assert [row.label for row in table.rows] == [
+        *("mine (sees the state)", "other", "BC (ST), published"),
+    ]
+    assert [len(row.cells["Demo"].beside) for row in table.rows] == [0, 1, 0]
 
 
 def test_nudged_demo_scores_are_not_compared() -> None:

@@ -9,6 +9,7 @@ import tempfile
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -78,7 +79,7 @@ def export_minari(
 
 def _spec(env_id: EnvId, part: Dataset, actions: ActionSpec) -> Any:
     """The environment's specification, with the episodes' length as its horizon if all share it."""
-    spec = env_spec(env_id)
+    spec = replace(env_spec(env_id), additional_wrappers=())  # which `make_vec` does not take
     if actions is not DISCRETE:
         spec.kwargs["action_space"] = actions.name
     lengths = {entry.length for entry in part.entries}

@@ -2,7 +2,7 @@
 
 import operator
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -10,10 +10,17 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
+from magical.envs.env import time_limit_error
 from magical.errors import ResetNeededError, UnknownNameError
 from magical.messages import quoted
 
 MAX_TIMEOUT = 1e6  # s, the longest that one system call can wait
+
+
+def check_no_time_limit(options: Mapping[str, Any]) -> None:
+    """Raise `InvalidConfigError` if the options of `make_vec` include `max_episode_steps`."""
+    if "max_episode_steps" in options:
+        raise time_limit_error(options["max_episode_steps"])
 
 
 def parse_autoreset_mode(mode: str | AutoresetMode) -> AutoresetMode:

@@ -19,6 +19,7 @@ from magical.envs.ids import EnvId, parse_env_id
 from magical.envs.saved_state import parse_state, warn_of_departure
 from magical.envs.vector.buffers import Copies, SharedMemory, VectorBuffers, VectorSpec
 from magical.envs.vector.checks import (
+    check_no_time_limit,
     check_timeout,
     checked_mask,
     checked_seeds,
@@ -390,11 +391,10 @@ def _score_infos(scores: NDArray[np.float64], mask: Bools) -> Infos:
     return values | {f"_{key}": mask.copy() for key in values}
 
 
-def make_vector_env(
-    task: str, variant: str, num_envs: int = 1, observation: Observation = None, **options: Any
-) -> MagicalVectorEnv:
+def make_vector_env(task: str, variant: str, num_envs: int = 1, **options: Any) -> MagicalVectorEnv:
     """The entry point of `gymnasium.make_vec("magical/<id>", num_envs=N, ...)`.
 
-    `options` are those of `MagicalVectorEnv`: workers, horizon, reward, autoreset_mode, copy, ...
+    `options` are those of `MagicalVectorEnv`: observation, workers, horizon, reward, copy, ...
     """
-    return MagicalVectorEnv([EnvId(task, variant)] * num_envs, observation=observation, **options)
+    check_no_time_limit(options)
+    return MagicalVectorEnv([EnvId(task, variant)] * num_envs, **options)

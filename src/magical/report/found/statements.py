@@ -4,6 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from magical.evaluation import Entry
+from magical.evaluation.entry import UPDATES
 from magical.messages import quoted
 from magical.runs.sources import learned_from, learning_class
 
@@ -51,10 +52,19 @@ def marks(looks: object, row_class: str) -> str:
     return f"{'†' if looks else ''}{f' [{row_class}]' if row_class else ''}"
 
 
-def marked(label: str, runs: Iterable[Entry]) -> str:
-    """A row's label with its `marks`."""
+def marked(label: str, runs: Sequence[Entry]) -> str:
+    """A row's label: `with_conditions`, then its `marks`."""
+    looks = any(entry.details.get(LOOKS) for entry in runs)
+    return with_conditions(label, runs) + marks(looks, class_of(runs))
+
+
+def with_conditions(label: str, runs: Iterable[Entry]) -> str:
+    """A row's label that says in parentheses if its runs see the state, or are unfinished."""
     entries = list(runs)
-    return label + marks(any(entry.details.get(LOOKS) for entry in entries), class_of(entries))
+    found = ["sees the state"] if any(entry.privileged for entry in entries) else []
+    if parts := list(dict.fromkeys(filter(None, (unfinished(e.details) for e in entries)))):
+        found.append(f"unfinished: {', '.join(parts)}")
+    return f"{label} ({'; '.join(found)})" if found else label
 
 
 def class_of(runs: Sequence[Entry]) -> str:
@@ -78,3 +88,11 @@ def stated_looks(details: Mapping[str, Any]) -> int | None:
     raise ValueError(
         f"expected {LOOKS} in the details to be a whole number, 0 or more; found {quoted(looks)}"
     )
+
+
+def unfinished(details: Mapping[str, Any]) -> str:
+    """How far a training run was, such as `25 of 600 updates`; empty if finished or not stated."""
+    match details.get(UPDATES):
+        case {"done": int(done), "planned": int(planned)} if done < planned:
+            return f"{done} of {planned} updates"
+    return ""

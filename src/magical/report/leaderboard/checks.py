@@ -12,7 +12,7 @@ from magical.evaluation.protocol import NUDGE, ROLLOUTS, SEED
 from magical.grouping import group_by
 from magical.observe import parse_spec
 from magical.report.found.search import Found, Result, same_run
-from magical.report.found.statements import stated_looks
+from magical.report.found.statements import stated_looks, unfinished
 from magical.runs.sources import learned_from
 from magical.tasks import get_task
 from magical.tasks.axes import short_variant
@@ -80,6 +80,8 @@ def incompleteness(entry: Entry) -> Iterator[str]:
         names = map(short_variant, get_task(task).variants)
         if absent := [name for name in names if name not in cells]:
             yield f"{task} without {', '.join(absent)}: all variants of a task are needed"
+    if done := unfinished(entry.details):
+        yield f"its training run is unfinished ({done}): train it to its end and evaluate again"
     if _series(entry.version) != _series(__version__):
         yield (
             f"made by version {entry.version or '(not stated)'} of this package, this is "

@@ -9,7 +9,7 @@ from magical.evaluation.intervals import Interval
 from magical.evaluation.statistics import ROUNDING
 from magical.grouping import group_by
 from magical.report.found.search import Result
-from magical.report.found.statements import Statements, gather_statements
+from magical.report.found.statements import Statements, gather_statements, with_conditions
 from magical.report.scores.methods import ComparedMethod, compared_methods
 from magical.runs.sources import (
     BENCHMARK_PRIOR,
@@ -40,6 +40,8 @@ class Standing:
     test_all: Interval  # mean score
     demo: Interval
     gap: Interval  # Demo's mean minus TestAll's
+    label: str  # the method, marked if its policy is privileged
+    runs_apart: str  # means on TestAll, if a few runs differ much; otherwise empty
     used: tuple[str, ...]  # what it learned from, and `state` for a privileged policy
     statements: Statements
     runs: int  # the fewest on any of the board's tasks
@@ -160,17 +162,19 @@ def _used(result: Result) -> tuple[str, ...]:
 
 
 def _standing(method: ComparedMethod, runs: Sequence[Result]) -> Standing:
-    def mean(variant: str) -> Interval:
-        return method.on([i for i in method.env_ids if i.variant == variant]).mean()
+    def on(variant: str) -> ComparedMethod:
+        return method.on([i for i in method.env_ids if i.variant == variant])
 
     gap = method.generalisation_gap()
     assert gap is not None  # entries with all variants have Demo and TestAll
     return Standing(
         runs[0].entry.method,
         method.unit,
-        mean(TEST_ALL),
-        mean(DEMO),
+        on(TEST_ALL).mean(),
+        on(DEMO).mean(),
         gap,
+        label=with_conditions(runs[0].entry.method, [run.entry for run in runs]),
+        runs_apart=on(TEST_ALL).means_apart(),
         used=_used(runs[0]),  # the same in all runs
         statements=gather_statements(run.entry.details for run in runs),
         runs=method.fewest_runs,

@@ -16,6 +16,7 @@ from magical.report.leaderboard.ranking import STATE, Board, make_boards
 from magical.report.pages.evaluated import write_page
 from magical.report.pages.page import render_template, write_text
 from magical.report.scores.differences import matching_methods
+from magical.report.scores.summaries import interval_text
 from magical.runs.plan import file_name
 from magical.runs.sources import CLASSES, SOURCES
 
@@ -63,6 +64,7 @@ class Leaderboard:
         return render_template(
             "leaderboard.html.j2",
             board=self,
+            interval_text=interval_text,
             unranked=by_reasons(self.rejected),
             classes={name: SOURCES[source] for name, source in CLASSES.items()},
             pages=pages,

@@ -1,6 +1,5 @@
 """A page that compares two methods."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from operator import attrgetter
@@ -8,8 +7,9 @@ from pathlib import Path
 
 from magical.errors import UnknownNameError
 from magical.evaluation.intervals import Interval
-from magical.evaluation.statistics import interquartile_mean, probability_of_improvement
+from magical.evaluation.statistics import probability_of_improvement
 from magical.grouping import group_by
+from magical.messages import decimals
 from magical.report.figures.plots import interval_plot, profile_plot
 from magical.report.found.facts import MethodFacts, describe_rows
 from magical.report.found.rows import by_row
@@ -22,9 +22,11 @@ from magical.report.scores.summaries import (
     THRESHOLDS,
     gap_table,
     interval_text,
+    mean_text,
+    over,
     profiles,
 )
-from magical.report.scores.tables import TextTable, signed
+from magical.report.scores.tables import RUNS_APART, TextTable, signed
 from magical.tasks.axes import short_variant
 
 
@@ -95,11 +97,9 @@ def _headline(first: ComparedMethod, second: ComparedMethod) -> str:
     count = len(first.env_ids)
     text = (
         f"Over {count} environment{'s' if count != 1 else ''}, the mean score of {first.name} is "
-        f"{abs(found.value):.2f} {'higher' if found.value >= 0 else 'lower'} than that of "
-        f"{second.name} ({signed(found)})."
+        f"{decimals(abs(found.value))} {'higher' if found.value >= 0 else 'lower'} than that of "
+        f"{second.name} ({_difference_text(first, second)})."
     )
-    if math.isnan(found.low):
-        return f"{text} There are too few runs for an interval."
     if found.low <= 0.0 <= found.high:
         return f"{text} The interval contains 0, so this does not show which is better."
     return text
@@ -111,19 +111,26 @@ def _summary(first: ComparedMethod, second: ComparedMethod) -> TextTable:
         ("runs", first.unit, second.unit, ""),
         (
             "mean",
-            interval_text(first.mean()),
-            interval_text(second.mean()),
-            signed(first.difference(second)),
+            mean_text(first),
+            mean_text(second),
+            _difference_text(first, second),
         ),
         (
             "interquartile mean",
-            interval_text(interquartile_mean(first.means)),
-            interval_text(interquartile_mean(second.means)),
+            interval_text(first.interquartile_mean()),
+            interval_text(second.interquartile_mean()),
             "",
         ),
         (f"P({first.name} better)", "", "", interval_text(better)),
     ]
-    return TextTable("Summary", ("", first.name, second.name, "difference"), rows, NOTE)
+    note = NOTE + (RUNS_APART if first.means_apart() or second.means_apart() else "")
+    return TextTable("Summary", ("", first.name, second.name, "difference"), rows, note)
+
+
+def _difference_text(first: ComparedMethod, second: ComparedMethod) -> str:
+    found = first.difference(second)
+    unit = next((m.unit for m in (first, second) if not m.over_runs), first.unit)
+    return signed(found) + over(found, unit)
 
 
 def _environments(first: ComparedMethod, second: ComparedMethod) -> TextTable:
@@ -131,7 +138,7 @@ def _environments(first: ComparedMethod, second: ComparedMethod) -> TextTable:
     rows = [
         (
             *(env_id.task, short_variant(env_id.variant)),
-            *(interval_text(a.mean()), interval_text(b.mean()), signed(a.difference(b))),
+            *(mean_text(a), mean_text(b), _difference_text(a, b)),
         )
         for env_id, a, b in pairs
     ]

@@ -5,7 +5,6 @@ from pathlib import Path
 
 from magical import __version__
 from magical.evaluation import Entry
-from magical.evaluation.statistics import interquartile_mean
 from magical.report.figures.curves import curves_by_task
 from magical.report.figures.plots import interval_plot, profile_plot
 from magical.report.figures.reels import LoadPolicy, Reel, record_reels
@@ -114,7 +113,7 @@ def _subtitle(found: Found, skipped: int) -> str:
 
 
 def _figures(methods: Sequence[ComparedMethod]) -> list[Figure]:
-    iqm = {method.name: interquartile_mean(method.means) for method in methods}
+    iqm = {method.name: method.interquartile_mean() for method in methods}
     return [
         Figure(
             interval_plot(iqm, "interquartile mean", "iqm"),

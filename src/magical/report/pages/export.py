@@ -13,13 +13,13 @@ import numpy as np
 from magical.envs import EnvId
 from magical.errors import UnknownNameError
 from magical.evaluation import Entry, by_variant, published_score, published_tasks
-from magical.evaluation.intervals import rollout_mean
-from magical.evaluation.statistics import mean, over_runs
+from magical.evaluation.intervals import OverRollouts
+from magical.evaluation.statistics import over_runs
 from magical.report.found.search import Found
 from magical.report.found.statements import LOOKS, class_of
 from magical.report.pages.page import write_text
 from magical.report.scores.differences import RULE, counterparts, differences
-from magical.report.scores.methods import compared_methods
+from magical.report.scores.methods import compared_methods, make_method
 from magical.report.scores.summaries import aggregate_table, gap_table, improvement_table
 from magical.report.scores.tables import TextTable, entry_tasks, report_tables, rows_on
 from magical.tasks import get_task
@@ -155,15 +155,14 @@ def _rows(task: str, found: Found, published: Sequence[str]) -> Iterator[dict[st
 
 def _figures(task: str, variant: str, runs: Sequence[Entry], theirs: str | None) -> dict[str, Any]:
     cells = [cell for run in runs if (cell := by_variant(run.scores)[task].get(variant))]
-    means = np.array([[np.mean([row.score for row in cell])] for cell in cells])
-    several = len(cells) > 1
-    interval = mean(means) if several else rollout_mean([row.score for row in cells[0]])
+    method = make_method("", runs, [cells[0][0].env_id])
+    interval = method.mean()
     rule = [np.mean([getattr(row, RULE) for row in cell]) for cell in cells]
     found = differences(get_task(task), runs, theirs).get(variant) if theirs else None
     spread = published_score(task, theirs, variant) if theirs and found else None
     numbers = {
         "score": interval.value,
-        "score_std": over_runs(means).std if several else None,
+        "score_std": over_runs(method.means).std if len(cells) > 1 else None,
         "score_low": interval.low,
         "score_high": interval.high,
         RULE: float(np.mean(rule)),
@@ -178,12 +177,8 @@ def _figures(task: str, variant: str, runs: Sequence[Entry], theirs: str | None)
         name: None if isinstance(number, float) and math.isnan(number) else number
         for name, number in numbers.items()
     }
-    return {
-        "runs": len(cells),
-        "interval_over": "runs" if several else "rollouts",
-        **known,
-        **_stated(runs),
-    }
+    over = "rollouts" if isinstance(interval, OverRollouts) else "runs"
+    return {"runs": len(cells), "interval_over": over, **known, **_stated(runs)}
 
 
 def _stated(runs: Sequence[Entry]) -> dict[str, Any]:

@@ -49,10 +49,10 @@ def is_comparable(task: Task, run: Entry) -> bool:
 def differences(task: Task, runs: Sequence[Entry], method: str) -> Mapping[str, Interval]:
     """Our mean minus the published one, by short variant name, where they can be compared.
 
-    Demo scores of nudged runs cannot: the published ones are for the exact scene
-    (docs/determinism.md).
+    Runs that see the state cannot: all published rows see pixels. Demo scores of nudged runs
+    cannot: the published ones are for the exact scene (docs/determinism.md).
     """
-    if not all(is_comparable(task, run) for run in runs):
+    if not all(is_comparable(task, run) and not run.privileged for run in runs):
         return {}
     tables = [by_variant(run.scores).get(task.name, {}) for run in runs]
     nudged = any(run.nudge for run in runs)

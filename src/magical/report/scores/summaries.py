@@ -9,16 +9,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from magical.evaluation import Entry
-from magical.evaluation.intervals import Interval
-from magical.evaluation.statistics import (
-    interquartile_mean,
-    optimality_gap,
-    performance_profile,
-    probability_of_improvement,
-)
+from magical.evaluation.intervals import Interval, OverRollouts
+from magical.evaluation.statistics import performance_profile, probability_of_improvement
+from magical.messages import decimals
 from magical.report.found.statements import MARKS
 from magical.report.scores.methods import ComparedMethod
-from magical.report.scores.tables import Cell, Row, ScoreTable, TextTable
+from magical.report.scores.tables import RUNS_APART, Cell, Row, ScoreTable, TextTable
 from magical.tasks import VARIANTS
 from magical.tasks.axes import short_variant
 
@@ -26,19 +22,39 @@ THRESHOLDS = np.linspace(0.0, 1.0, 50, endpoint=False)  # no score exceeds 1
 AXES = tuple(variant for variant in VARIANTS if variant != "Demo")
 SHOWN = 6  # environments named in a note
 NOTE = (
-    "95% intervals over training runs; those over the rollouts of a single run do not include the "
-    "spread between training runs. Interquartile mean and optimality gap have no interval for a "
-    "single run. If some environments have several runs and others only one, there is no interval."
+    "95% intervals over training runs; with fewer than three runs of an environment, or where runs "
+    "do not differ, they are over rollouts, and do not include the spread between training runs. "
+    "Interquartile mean and optimality gap have no interval then."
 ) + MARKS
 
 
-def interval_text(interval: Interval | None) -> str:
-    """An interval as text; without brackets if there is only the estimate."""
+def interval_text(interval: Interval | None, unit: str = "rollouts") -> str:
+    """An interval as text; without brackets if there is only the estimate.
+
+    `unit` is what the row's intervals are said to be over; an interval over rollouts in a row over
+    runs says so.
+    """
     if interval is None:
         return "–"
-    if math.isnan(interval.low):
-        return f"{interval.value:.2f}"
-    return f"{interval.value:.2f} [{interval.low:.2f}, {interval.high:.2f}]"
+    value, low, high = map(decimals, interval)
+    return value if math.isnan(interval.low) else f"{value} [{low}, {high}]{over(interval, unit)}"
+
+
+def over(interval: Interval, unit: str) -> str:
+    """` over rollouts` for such an interval in a row over runs; otherwise empty."""
+    differs = isinstance(interval, OverRollouts) and not unit.startswith("rollouts")
+    return " over rollouts" if differs else ""
+
+
+def mean_text(method: ComparedMethod) -> str:
+    """The mean with its interval, and the runs' means where a few of them differ much."""
+    return interval_text(method.mean(), method.unit) + method.means_apart()
+
+
+def gap_text(method: ComparedMethod, variant: str = "TestAll") -> str:
+    """The generalisation gap, as `mean_text`."""
+    gap = method.generalisation_gap(variant)
+    return "–" if gap is None else interval_text(gap, method.unit) + method.gaps_apart(variant)
 
 
 def aggregate_table(methods: Sequence[ComparedMethod], entries: Sequence[Entry]) -> TextTable:
@@ -55,18 +71,19 @@ def aggregate_table(methods: Sequence[ComparedMethod], entries: Sequence[Entry])
         header += [f"difference from {first.name}", f"P(better than {first.name})"]
     rows = []
     for method in methods:
-        found: list[Interval | None] = [method.mean(), interquartile_mean(method.means)]
-        found += [optimality_gap(method.means), method.generalisation_gap()]
+        row = [method.name, method.unit, mean_text(method)]
+        row += map(interval_text, (method.interquartile_mean(), method.optimality_gap()))
+        row.append(gap_text(method))
         if method is not first:
             better = probability_of_improvement(method.means, first.means)
-            found += [method.difference(first), better]
-        found += [None] * (len(header) - 2 - len(found))
-        rows.append((method.name, method.unit, *map(interval_text, found)))
+            difference = interval_text(method.difference(first), method.unit)
+            row += [difference, interval_text(better)]
+        rows.append((*row, *["–"] * (len(header) - len(row))))
     count = len(first.env_ids)
-    over = f"Over {count} environment{'s' if count != 1 else ''}."
-    return TextTable(
-        "All environments", tuple(header), rows, f"{over}{_left_out(first, entries)} {NOTE}"
-    )
+    note = f"Over {count} environment{'s' if count != 1 else ''}.{_left_out(first, entries)} {NOTE}"
+    if any(method.means_apart() for method in methods):
+        note += RUNS_APART
+    return TextTable("All environments", tuple(header), rows, note)
 
 
 def _left_out(method: ComparedMethod, entries: Sequence[Entry]) -> str:
@@ -86,10 +103,7 @@ def gap_table(methods: Sequence[ComparedMethod]) -> TextTable | None:
     axes = [axis for axis in AXES if methods[0].generalisation_gap(axis) is not None]
     if not axes:
         return None
-    rows = [
-        (method.name, *(interval_text(method.generalisation_gap(axis)) for axis in axes))
-        for method in methods
-    ]
+    rows = [(method.name, *(gap_text(method, axis) for axis in axes)) for method in methods]
     note = (
         "The mean score on Demo minus that on the variant, by task, averaged over the tasks that "
         "have the variant: the larger, the worse the method generalises along that axis. Intervals "
@@ -119,7 +133,7 @@ def improvement_table(methods: Sequence[ComparedMethod]) -> ScoreTable | None:
 
 def _improvement(method: ComparedMethod, other: ComparedMethod) -> Cell:
     value, low, high = probability_of_improvement(method.means, other.means)
-    return Cell(value, f"[{low:.2f}, {high:.2f}]")
+    return Cell(value, f"[{decimals(low)}, {decimals(high)}]")
 
 
 def profiles(methods: Sequence[ComparedMethod]) -> dict[str, list[Interval]]:

@@ -10,6 +10,7 @@ from magical.evaluation import Entry, by_variant, published_score, published_tas
 from magical.evaluation.intervals import Interval, rollout_mean
 from magical.evaluation.published import PUBLISHED_RUNS
 from magical.evaluation.statistics import over_runs
+from magical.messages import decimals
 from magical.report.found.rows import by_row
 from magical.report.found.statements import MARKS, marked
 from magical.report.scores.differences import (
@@ -54,10 +55,15 @@ class Cell:
         return "rgb({},{},{})".format(*mixed), "#fff" if share > INK_CHANGES else "#222"
 
     @property
+    def number(self) -> str:
+        """The mean as text."""
+        return decimals(self.mean)
+
+    @property
     def text(self) -> str:
         """Text such as `0.88 ± 0.10 (−0.01)`, with the difference from the published mean."""
         difference = f" ({self.beside[0]})" if self.beside else ""
-        return f"{self.mean:.2f} {self.detail}{difference}"
+        return f"{self.number} {self.detail}{difference}"
 
     @property
     def beside(self) -> list[str]:
@@ -198,9 +204,9 @@ def _beside(row: Row, task: Task, runs: Sequence[Entry], theirs: Mapping[str, st
 def signed(interval: Interval) -> str:
     """A difference with its interval, as text: `+0.02 [−0.10, +0.14]`."""
     if math.isnan(interval.low):
-        return f"{interval.value:+.2f}".replace("-", "−")
-    low, high = interval.low, interval.high
-    return f"{interval.value:+.2f} [{low:+.2f}, {high:+.2f}]".replace("-", "−")
+        return decimals(interval.value, sign="+")
+    value, low, high = (decimals(number, sign="+") for number in interval)
+    return f"{value} [{low}, {high}]"
 
 
 def _cell(runs: Sequence[Sequence[float]], expected: int) -> Cell:
