@@ -15,9 +15,9 @@ from torch import nn
 
 import magical
 from magical.cli import main
-from magical.errors import DatasetError, PlacementError, ResultsError, WorkerDiedError
+from magical.errors import DatasetError, PlacementError, ResultsError
 from magical.evaluation import Evaluation, environments, read_entry
-from magical.experiments import demonstrations, execution, forecast, one_run, results
+from magical.experiments import execution, forecast, one_run, results
 from magical.experiments.execution import LocalExecutor, Resources, execute
 from magical.experiments.one_run import evaluate_reference
 from magical.experiments.results import Results
@@ -30,7 +30,6 @@ from magical.runs import versions
 from magical.runs.machine import machine
 from magical.runs.plan import read_listing
 from magical.tasks import unregister_task
-from tests.experiments import processes
 from tests.experiments.conftest import Planned, Started
 from tests.experiments.processes import scores_of
 
@@ -318,27 +317,6 @@ def test_a_first_run_that_has_changed_since_is_noticed(
             execute(some, out)
     shutil.rmtree(first)
     assert execute(runs[:1], out).complete
-
-
-def test_a_killed_process_costs_what_it_was_doing_and_no_more(
-    planned: Planned, out: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    runs = planned()
-    for part in ("finish", "evaluate_reference"):
-        monkeypatch.setattr(f"magical.experiments.execution.{part}", getattr(processes, part))
-    generated = demonstrations.generate_missing
-
-    def killed_once(*args: Any, **kwargs: Any) -> None:
-        monkeypatch.setattr(demonstrations, "generate_missing", generated)
-        raise WorkerDiedError("a worker process was killed")
-
-    monkeypatch.setattr(demonstrations, "generate_missing", killed_once)
-    references = [(name, runs[0].evaluation) for name in ("noop", "random")]
-    with pytest.raises(WorkerDiedError, match=r"9 \(SIGKILL\) while it evaluated noop-Move.*again"):
-        execute(runs, out, Resources(workers=2), references=references)
-    assert [run.state for run in read_status(out).runs] == ["failed", "done"]
-    assert "killed by signal 9" in read_status(out).runs[0].error
-    assert (out / "references" / "random-MoveToRegion").is_dir()
 
 
 def test_runs_take_turns_on_the_visible_gpus(

@@ -52,10 +52,10 @@ def test_without_a_terminal_a_line_now_and_then_says_how_far_the_plan_is(
 def test_before_any_run_is_finished_the_time_left_follows_from_the_speed_of_training(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    now = 0.0
-    monkeypatch.setattr("time.monotonic", lambda: now)
     shown = display.Display(Path())
+    shown._last_line = 0.0
     for now, steps in ((20.0, (0, 0)), (25.0, (50, 50)), (35.0, (150, 150))):
+        monkeypatch.setattr("time.monotonic", lambda now=now: now)
         runs = [run("a", "running", step=step, total=1000) for step in steps]
         found = Status(Path(), True, 2, tuple(runs), 0)
         monkeypatch.setattr(display, "read_status", lambda path, found=found: found)
