@@ -127,8 +127,8 @@ def _conclusions(plan: "Plan", entries: "list[Entry]") -> list[str]:
         f"{learner}, trained on {plan.num_demos} demonstrations of {' and of '.join(plan.tasks)}, "
         f"scores {demo[learner]:.2f} in the scene of the demonstrations (Demo; the expert "
         f"{demo[expert]:.2f}, random actions {demo[random]:.2f}).",
-        f"It fails most where it scores {' and '.join(lowest)}: far below Demo, it has learned "
-        "the scene rather than the task.",
+        f"It fails most where it scores {' and '.join(lowest)}: where that is far below Demo, it "
+        "has learned the scene rather than the task.",
     ]
 
 
