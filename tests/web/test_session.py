@@ -126,11 +126,11 @@ def test_pausing_stops_the_clock_until_the_next_key() -> None:
 def test_a_paused_episode_is_resumed_and_no_other_is_begun() -> None:
     clocked = Clocked()
     clocked.send(Resume())
-    assert clocked.phase == Phase.READY
+    assert (clocked.phase, clocked.steps) == (Phase.READY, 0)
     clocked.hold(FORWARD)
     clocked.send(Pause())
     clocked.send(Resume())
-    assert clocked.phase == Phase.PLAYING
+    assert (clocked.phase, clocked.steps) == (Phase.PLAYING, 1)
     clocked.wait(1.0, FORWARD)
     assert clocked.steps > 1
 
