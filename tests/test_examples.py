@@ -1,5 +1,6 @@
 """The examples, with short settings, and the program of `docs/five-minutes.md`."""
 
+import json
 import re
 import runpy
 import subprocess
@@ -104,7 +105,10 @@ def test_the_training_of_five_minutes_runs(root: Path, tmp_path: Path) -> None:
 
 
 def test_the_algorithm_of_the_documentation_trains(
-    root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    root: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     pytest.importorskip("torch", reason="the learning extra is not installed")
     page = (root / "docs" / "how-to" / "algorithm.md").read_text()
@@ -113,13 +117,20 @@ def test_the_algorithm_of_the_documentation_trains(
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     train = "train my_bc:ALGORITHM --out run"
+    compute = "--threads 1 --precision bfloat16 --device cpu"
     for command in (
         "demos generate --env magical/MoveToRegion-Demo-v0 -n 1 --out demos",
-        f"{train} --task MoveToRegion --demos demos --num-demos 1 --batches 3 --stop-after 2",
+        f"{train} --task MoveToRegion --demos demos --num-demos 1 --batches 3 --stop-after 2 "
+        f"{compute}",
         f"{train} --resume",
         "evaluate run --variants Demo --rollouts 1 --workers 0",
     ):
         assert cli.main(command.split()) == 0
+    recorded = json.loads((tmp_path / "run" / "run.json").read_text())["compute"]
+    assert recorded == {"device": "cpu", "precision": "bfloat16", "threads": 1}
+    state = f"{train}2 --task MoveToRegion --demos demos --observation state"
+    assert cli.main(state.split()) == 2
+    assert "'state' is not taken by my_bc:ALGORITHM" in capsys.readouterr().err
 
 
 def test_the_tutorial_runs(root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -149,6 +149,10 @@ class CheckpointError(MagicalError, ValueError):
     """A checkpoint that is missing, damaged or for another network."""
 
 
+class CheckpointMismatchError(CheckpointError):
+    """An intact checkpoint of another network or program."""
+
+
 class DemonstrationsError(MagicalError, ValueError):
     """Demonstrations that cannot be learned from: too few, or for another task or observation."""
 

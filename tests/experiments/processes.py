@@ -1,11 +1,17 @@
 """`magical run` in a process of its own, for tests that end it."""
 
+import os
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from magical.evaluation import Evaluation
+from magical.experiments.one_run import reference_folder, write_result
+from magical.experiments.plan import PlannedRun
+from magical.experiments.results import Outcome
 from tests.waiting import soon
 
 TIMEOUT = 120.0  # seconds, on a busy machine
@@ -22,6 +28,21 @@ def running(plan: Path, out: Path, *options: str) -> Iterator["subprocess.Popen[
             yield process
         finally:
             process.kill()
+
+
+def finish(run: PlannedRun, folder: Path, demos: Path | None) -> Outcome:
+    """As the package's, without training; the process of the run with seed 0 is killed."""
+    if run.seed == 0:
+        os.kill(os.getpid(), signal.SIGKILL)
+    write_result(run, folder, state="done")
+    return Outcome("done")
+
+
+def evaluate_reference(reference: tuple[str, Evaluation], results: Path) -> None:
+    """As the package's, without rollouts; the process that evaluates `noop` is killed."""
+    if reference[0] == "noop":
+        os.kill(os.getpid(), signal.SIGKILL)
+    (results / "references" / reference_folder(reference)).mkdir(parents=True)
 
 
 def lines(out: Path) -> int:

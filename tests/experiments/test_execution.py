@@ -10,18 +10,21 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
+from torch import nn
 
 import magical
 from magical.cli import main
 from magical.errors import DatasetError, PlacementError, ResultsError
 from magical.evaluation import Evaluation, environments, read_entry
-from magical.experiments import forecast, one_run, results
+from magical.experiments import execution, forecast, one_run, results
 from magical.experiments.execution import LocalExecutor, Resources, execute
 from magical.experiments.one_run import evaluate_reference
 from magical.experiments.results import Results
 from magical.experiments.status import read_status
 from magical.files import lock_now
 from magical.learning import load_policy, read_config
+from magical.learning.algorithms import bc
 from magical.learning.running import training
 from magical.runs import versions
 from magical.runs.machine import machine
@@ -167,6 +170,21 @@ def test_a_run_with_a_damaged_checkpoint_resumes_from_the_one_before(
     assert scores_of(copied) == scores_of(finished)
 
 
+def test_checkpoints_of_another_network_are_left_as_they_are(
+    planned: Planned, inline: Started, copied: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (run, _) = planned()
+    folder = copied / "runs" / run.folder
+    (folder / "result.json").unlink()
+    files = [folder / "checkpoint.safetensors", folder / "previous-checkpoint.safetensors"]
+    before = [file.read_bytes() for file in files]
+    made = bc.make_policy
+    monkeypatch.setattr(bc, "make_policy", lambda config: nn.Sequential(made(config)))
+    assert execute([run], copied).counts["failed"] == 1
+    assert "the checkpoint is of another network" in results_of(copied)[run.folder]["error"]
+    assert [file.read_bytes() for file in files] == before
+
+
 def test_what_a_killed_process_left_does_not_stand_in_the_way(
     planned: Planned, inline: Started, out: Path
 ) -> None:
@@ -300,6 +318,24 @@ def test_a_first_run_that_has_changed_since_is_noticed(
             execute(some, out)
     shutil.rmtree(first)
     assert execute(runs[:1], out).complete
+
+
+def test_runs_take_turns_on_the_visible_gpus(
+    planned: Planned, out: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[tuple[Any, ...]] = []
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
+    monkeypatch.setattr(execution, "ProcessPool", lambda *args: made.append(args))
+    runs, results = planned(("seeds = [0, 1]", "seeds = [0, 1, 2]")), Results(out, "")
+    for visible, gpus in ((None, ["0", "1"]), ("7,3", ["7", "3"])):
+        monkeypatch.delenv("CUDA_VISIBLE_DEVICES", raising=False)
+        if visible:
+            monkeypatch.setenv("CUDA_VISIBLE_DEVICES", visible)
+        LocalExecutor(runs, results, 4)
+        assert made.pop() == (3, [{"CUDA_VISIBLE_DEVICES": gpu} for gpu in gpus])
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 0)
+    LocalExecutor(runs, results, 2)
+    assert made.pop() == (2, [{}])
 
 
 @pytest.mark.parametrize(("workers", "slots"), [(None, 2), (5, 5)])

@@ -4,11 +4,16 @@ import random
 import signal
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from magical.errors import WorkerDiedError
+from magical.experiments import demonstrations
+from magical.experiments.execution import Resources, execute
 from magical.experiments.plan import PlannedRun
 from magical.experiments.status import read_status
+from tests.experiments import processes
 from tests.experiments.processes import TIMEOUT, lines, reached, running, scores_of
 
 BATCHES = 6  # of each run
@@ -56,3 +61,24 @@ def test_sigterm_leaves_a_checkpoint_and_exits_130(
     status = read_status(out)
     assert not status.active
     assert status.counts["failed"] == 0
+
+
+def test_a_killed_process_costs_what_it_was_doing_and_no_more(
+    planned: Callable[..., list[PlannedRun]], out: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    runs = planned()
+    for part in ("finish", "evaluate_reference"):
+        monkeypatch.setattr(f"magical.experiments.execution.{part}", getattr(processes, part))
+    generated = demonstrations.generate_missing
+
+    def killed_once(*args: Any, **kwargs: Any) -> None:
+        monkeypatch.setattr(demonstrations, "generate_missing", generated)
+        raise WorkerDiedError("a worker process was killed")
+
+    monkeypatch.setattr(demonstrations, "generate_missing", killed_once)
+    references = [(name, runs[0].evaluation) for name in ("noop", "random")]
+    with pytest.raises(WorkerDiedError, match=r"9 \(SIGKILL\) while it evaluated noop-Move.*again"):
+        execute(runs, out, Resources(workers=2), references=references)
+    assert [run.state for run in read_status(out).runs] == ["failed", "done"]
+    assert "killed by signal 9" in read_status(out).runs[0].error
+    assert (out / "references" / "random-MoveToRegion").is_dir()

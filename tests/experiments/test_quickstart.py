@@ -9,13 +9,15 @@ import pytest
 from magical import cli
 from magical.evaluation import read_entry
 from magical.experiments.plan import find_plan, read_plan
+from magical.experiments.status import read_status
 from magical.runs.sources import learned_from
 
 for _extra in ("torch", "safetensors", "jinja2", "matplotlib"):
     pytest.importorskip(_extra, reason="the learning and report extras are not installed")
 
 TASK = "MoveToRegion"  # the quickest
-ARGV = ["quickstart", "--task", TASK, "--rollouts", "2", "--batches", "3", "--workers", "1"]
+ARGV = ["quickstart", "--task", TASK, "--batches", "3", "--seed", "0", "--rollouts", "2"]
+ARGV += ["--workers", "1"]
 
 
 @pytest.fixture(scope="module")
@@ -51,11 +53,21 @@ def test_a_second_quickstart_takes_up_what_is_there(
     assert len(before) == 3
     assert cli.main([*ARGV, "--out", str(folder), "--json"]) == 0
     assert [(file, file.stat().st_ino, file.stat().st_mtime_ns) for file in files] == before
-    printed = capsys.readouterr()
-    assert "BC (ST), published" in printed.out
-    assert "MoveToCorner" not in printed.out
-    assert json.loads(printed.out.splitlines()[-1])["rows"]
-    assert f"report: {folder / 'report.html'}" in printed.err
+    learned, fails, page, result = capsys.readouterr().out.splitlines()
+    assert learned.startswith(f"BC quick, trained on 25 demonstrations of {TASK}, scores 0.")
+    assert "the expert 1.00, random actions 0.00" in learned
+    assert fails.startswith("It fails most where it scores 0.00 on MoveToRegion ")
+    assert page.startswith(f"{folder / 'report.html'} shows all scores")
+    assert {row["method"] for row in json.loads(result)["rows"]} == {"BC quick", "expert", "random"}
+    text = (folder / "report.html").read_text()
+    assert text.index(learned) < text.index("poses anywhere in the workspace") < text.index("<h2")
+    assert read_status(folder).command == tuple(ARGV[:-2])
+
+
+def test_the_page_says_what_its_cells_show(folder: Path) -> None:
+    text = " ".join((folder / "report.html").read_text().split())
+    assert "Each cell shows the mean score of 2 rollouts" in text
+    assert "the mean minus the published one" in text
 
 
 def test_it_is_a_plan_that_can_be_run() -> None:

@@ -89,6 +89,11 @@ def test_all_processes_may_die() -> None:
     ]
 
 
+def test_processes_take_turns_with_environment_variables() -> None:
+    with closing(ProcessPool(1, [{"CUDA_VISIBLE_DEVICES": "3"}, {}])) as pool:
+        assert pool.submit(os.getenv, "CUDA_VISIBLE_DEVICES").result() == "3"
+
+
 def test_a_dead_process_is_an_error() -> None:
     with pytest.raises(WorkerDiedError, match="exit status 7"):
         list(map_in_processes(partial(work.exit_at, 1), itertools.count(), 2))

@@ -46,6 +46,10 @@ def test_a_run_is_continued_only_on_request_and_only_with_its_configuration(fold
             open_once(folder, resume, seed=1)
 
 
+def test_settings_that_do_not_change_the_result_may_change(folder: Path) -> None:
+    open_once(folder, resume=True, workers=3, log_every=1, checkpoint_every=7)
+
+
 def test_a_folder_without_a_run_is_refused_and_left_as_it_is(tmp_path: Path) -> None:
     with pytest.raises(RunFolderError, match="expected a run to resume, found none"):
         open_once(tmp_path / "none", resume=True)

@@ -178,12 +178,12 @@ def test_every_table_of_methods_marks_looks_and_class(repository: Path) -> None:
 def test_a_change_is_shown_variant_by_variant(repository: Path) -> None:
     scripted = "BC (ST), scripted experts"
     write_run(repository, "bc-human", "BC (ST)", "MoveToCorner", 0, 0.5)
-    write_run(repository, "bc-scripted", scripted, "MoveToCorner", 0, 0.75)
-    one = ["+0.25", "+0.25", "", "+0.25", "+0.25", "", "+0.25", "+0.25"]  # one run: no interval
+    write_run(repository, "bc-scripted", scripted, "MoveToCorner", 0, 0.74)
+    one = ["+0.24", "+0.24", "", "+0.24", "+0.24", "", "+0.24", "+0.24"]  # one run: no interval
     assert lines(made(repository), "variants", "scripted experts")[0][1:] == one
     write_run(repository, "bc-human", "BC (ST)", "MoveToCorner", 1, 0.5)
-    write_run(repository, "bc-scripted", scripted, "MoveToCorner", 1, 0.75)
-    two = [cell and f"**{cell}**<br>[+0.25, +0.25]" for cell in one]
+    write_run(repository, "bc-scripted", scripted, "MoveToCorner", 1, 0.76)
+    two = [cell and "**+0.25**<br>[+0.12, +0.38]" for cell in one]
     assert [row[1:] for row in lines(made(repository), "variants", "")[2:]] == [two]
 
 

@@ -37,6 +37,8 @@ def test_keys_show_the_last_action_and_start_over(tab: Tab) -> None:
     assert tab.evaluate(lit) == "forward,grip"
     tab.tap("p")
     tab.wait_for("latest.phase === 'paused'")
+    tab.tap("p")
+    tab.wait_for("latest.phase === 'playing'")
     tab.tap("r")
     tab.wait_for("latest.phase === 'ready' && latest.steps === 0")
     assert tab.browser.problems == []

@@ -10,7 +10,7 @@ from magical.errors import MessageError
 from magical.experts import expert_for
 from magical.experts.rollout import EpisodeExpert
 from magical.scene import ACTION_NAMES, NUM_ACTIONS
-from magical.web.messages import Discard, Keep, Message, Pause, Restart, Show, Start
+from magical.web.messages import Discard, Keep, Message, Pause, Restart, Resume, Show, Start
 from magical.web.session import IDLE_TIME, SILENCE_TIME, STEP_TIME, Phase
 from tests.web.clocked import ENV, FORWARD, GRIP, LEFT, Clocked
 
@@ -121,6 +121,18 @@ def test_pausing_stops_the_clock_until_the_next_key() -> None:
     assert (clocked.phase, clocked.steps) == (Phase.PAUSED, 1)
     clocked.hold(FORWARD, LEFT)
     assert clocked.steps == 2
+
+
+def test_a_paused_episode_is_resumed_and_no_other_is_begun() -> None:
+    clocked = Clocked()
+    clocked.send(Resume())
+    assert (clocked.phase, clocked.steps) == (Phase.READY, 0)
+    clocked.hold(FORWARD)
+    clocked.send(Pause())
+    clocked.send(Resume())
+    assert (clocked.phase, clocked.steps) == (Phase.PLAYING, 1)
+    clocked.wait(1.0, FORWARD)
+    assert clocked.steps > 1
 
 
 def test_a_silent_page_pauses_the_episode() -> None:

@@ -88,6 +88,7 @@ def run(args: argparse.Namespace) -> int:
         resources,
         references=planned_references(plan),
         retry_failed=args.retry_failed,
+        command=["run", args.plan, *(["--demos", args.demos] if args.demos else [])],
     )
     log(str(summary))
     print_json(args, summary.to_dict())

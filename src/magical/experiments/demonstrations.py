@@ -13,7 +13,7 @@ from magical.demos.store.manifest import ManifestEntry
 from magical.demos.store.repair import open_repaired
 from magical.demos.store.writer import DatasetWriter
 from magical.envs.seeds import episode_seed
-from magical.errors import DatasetError, DemonstrationsError
+from magical.errors import DatasetError, DemonstrationsError, WorkerDiedError
 from magical.evaluation import environments
 from magical.experiments.plan import DemonstrationSource, PlannedRun
 from magical.experiments.results import DEMOS, Results, read_experiment
@@ -138,7 +138,10 @@ def _generated(
     parts = (f"{name.replace('_', '-')}-{value:g}" for name, value in source.generation.items())
     folder = results.path / DEMOS / "-".join([f"expert-{source.expert_demos}", *parts])
     settings = {**source.generation, "workers": workers, "progress": progress}
-    generate_missing(folder, tasks, source.expert_demos, **settings)
+    try:
+        generate_missing(folder, tasks, source.expert_demos, **settings)
+    except WorkerDiedError:  # what it had made stays; one killed process does not end the plan
+        generate_missing(folder, tasks, source.expert_demos, **settings)
     dataset = Dataset.open(folder)
     digests = {f"{folder.name}/{task}": _digest_of_actions(dataset, task) for task in tasks}
     _require_known(digests, dataset, results, "generated_demonstrations")

@@ -1,8 +1,8 @@
 """The live view of an execution, and the table of `magical status`."""
 
+import shlex
 import time
 from collections.abc import Iterable
-from datetime import timedelta
 from operator import attrgetter
 from pathlib import Path
 from typing import Self
@@ -16,9 +16,11 @@ from magical.experiments.plan import PlannedRun
 from magical.experiments.results import DONE, FAILED, Outcome
 from magical.experiments.status import RUNNING, STATES, RunStatus, Status, read_status
 from magical.grouping import group_by
-from magical.messages import for_terminal
+from magical.messages import for_terminal, printable
 from magical.progress import LINE_INTERVAL, print_line
 
+MAX_COMMAND = 2_000  # characters of the command that continues a plan
+DAYS = 2  # from so many on, durations are in days
 SHOWN = 20  # the most runs in progress, and the most failed ones, that are listed
 
 
@@ -31,6 +33,7 @@ class Display:
         self._console = Console(stderr=True)
         self._live = Live(console=self._console, auto_refresh=False, transient=True)
         self._last_line = time.monotonic()
+        self._first: tuple[float, int] | None = None  # when training was seen to begin, and steps
 
     def __enter__(self) -> Self:
         if self._console.is_terminal:
@@ -50,19 +53,41 @@ class Display:
 
     def refresh(self) -> None:
         """Show the current state; without a terminal, only every `LINE_INTERVAL` seconds."""
+        now = time.monotonic()
+        due = now - self._last_line > LINE_INTERVAL
+        if self._first and not (self._live.is_started or due):
+            return
+        status = read_status(self._path)
+        left = self._time_left(status, now)
         if self._live.is_started:
-            self._live.update(status_table(read_status(self._path)), refresh=True)
-        elif time.monotonic() - self._last_line > LINE_INTERVAL:
-            self._last_line = time.monotonic()
-            self._print(_summary(read_status(self._path)))
+            self._live.update(status_table(status, left), refresh=True)
+        elif due:
+            self._last_line = now
+            self._print(_summary(status, left))
+
+    def _time_left(self, status: Status, now: float) -> str:
+        """In words: from the times of finished runs, or from the speed of the first ones."""
+        done, total = status.steps
+        if done and self._first is None:  # what came before is the start of processes
+            self._first = now, done
+        if status.seconds_left() is not None:
+            return _time_left(status)
+        began, before = self._first or (now, done)
+        if not before < done < total:
+            return ""
+        seconds = (now - began) / (done - before) * (total - done)
+        return f"about {duration(seconds)} of training left, then evaluation"
 
     def _print(self, *lines: str) -> None:
         for line in lines:
             print_line(self._console, line)
 
 
-def status_table(status: Status) -> RenderableType:
-    """The progress of a plan: counts by method, runs in progress, failed runs, time left."""
+def status_table(status: Status, left: str = "") -> RenderableType:
+    """The progress of a plan: counts by method, runs in progress, failed runs, time left.
+
+    `left` is the time left in words, by default that of `Status.seconds_left`.
+    """
     table = Table("method", *STATES, "runs", box=None, header_style="bold")
     for column in table.columns[1:]:
         column.justify = "right"
@@ -71,12 +96,21 @@ def status_table(status: Status) -> RenderableType:
         _add_row(table, method, runs)
     if len(groups) > 1:
         _add_row(table, "all", status.runs)
-    return Group(table, *(Text(for_terminal(line)) for line in _lines(status)))
+    lines = _lines(status, left or _time_left(status))
+    return Group(table, *(Text(for_terminal(line)) for line in lines))
 
 
 def duration(seconds: float) -> str:
-    """A duration as text, for instance `2:03:20`."""
-    return str(timedelta(seconds=round(seconds)))
+    """A duration as text, for instance `2:03:20`, or `12 days`."""
+    if seconds >= DAYS * 86_400:
+        return f"{round(seconds / 86_400):,} days"
+    minutes, second = divmod(round(seconds), 60)
+    return f"{minutes // 60}:{minutes % 60:02}:{second:02}"
+
+
+def _time_left(status: Status) -> str:
+    left = status.seconds_left()
+    return "" if left is None else f"about {duration(left)} left"
 
 
 def _add_row(table: Table, name: str, runs: Iterable[RunStatus]) -> None:
@@ -85,33 +119,35 @@ def _add_row(table: Table, name: str, runs: Iterable[RunStatus]) -> None:
     table.add_row(Text(for_terminal(name)), *counts, str(len(states)))
 
 
-def _summary(status: Status) -> str:
+def _summary(status: Status, left: str) -> str:
     """The progress of a plan in one line."""
     failed = f", {status.counts[FAILED]} failed" if status.counts[FAILED] else ""
-    left = status.seconds_left()
+    done, total = status.steps
     return (
         f"{status.counts[DONE]} of {len(status.runs)} runs done{failed}, "
-        f"{status.counts[RUNNING]} in progress"
-        + (f", about {duration(left)} left" if left is not None else "")
+        f"{status.counts[RUNNING]} in progress, {done:,} of {total:,} steps"
+        + (f", {left}" if left else "")
     )
 
 
-def _lines(status: Status) -> Iterable[str]:
+def _lines(status: Status, left: str) -> Iterable[str]:
     yield ""
     running = [run for run in status.runs if run.state == RUNNING]
     for run in running[:SHOWN]:
-        yield f"running: {run}: {run.step} of {run.total}"
+        trained = "" if run.step < run.total else ": trained, is evaluated"
+        yield f"running: {run}: {run.step:,} of {run.total:,} steps{trained}"
     failed = [run for run in status.runs if run.state == FAILED]
     for run in failed[:SHOWN]:
         yield f"failed: {run}: {run.error}"
     if len(failed) > SHOWN:
         yield f"failed: {len(failed) - SHOWN} more"
     yield from _others(status)
-    left = status.seconds_left()
-    if status.active and left is not None:
-        yield f"time left: about {duration(left)}"
+    if status.active and left:
+        yield left
     elif not status.active and status.counts[DONE] + len(failed) < len(status.runs):
-        yield "no process is executing the plan; to continue it: magical run"
+        words = shlex.join(["magical", *(status.command or ("run", "PLAN"))])
+        again = printable(f"{words} --out {shlex.quote(str(status.path))}", MAX_COMMAND)
+        yield f"no process is executing the plan; to continue it: {again}"
 
 
 def _others(status: Status) -> Iterable[str]:

@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
-from magical.errors import ClusterError
+from magical.errors import ClusterError, WorkerDiedError
 from magical.evaluation import BUILT_IN, Evaluation
 from magical.evaluation.rollouts import modules_for
 from magical.experiments.demonstrations import (
@@ -38,6 +38,7 @@ from magical.experiments.results import (
     require_same_first_runs,
 )
 from magical.files import is_out_of_space
+from magical.learning.running.devices import visible_gpus
 from magical.learning.running.interrupts import Interrupts
 from magical.processes import ProcessPool, available_cores
 from magical.tasks import with_tasks
@@ -63,13 +64,18 @@ class Executor(Protocol):
 
 
 class LocalExecutor:
-    """Processes on this machine, by default as many as there are cores for their threads."""
+    """Processes on this machine, by default as many as there are cores for their threads.
+
+    Each sees one of the machine's GPUs, if there are any; they take turns.
+    """
 
     def __init__(self, runs: Sequence[PlannedRun], results: Results, workers: int | None) -> None:
         threads = max((run.config.threads for run in runs), default=1)
         self._workers = workers or max(1, available_cores() // threads)
         self._results = results
-        self._pool = ProcessPool(self._workers)
+        gpus = [{"CUDA_VISIBLE_DEVICES": gpu} for gpu in visible_gpus()]
+        # No more processes than runs: they could be those of the same GPU.
+        self._pool = ProcessPool(min(self._workers, len(runs)), gpus or [{}])
 
     def slots(self) -> int:
         """The number of processes."""
@@ -157,6 +163,7 @@ def execute(
     *,
     references: Sequence[tuple[str, Evaluation]] = (),
     retry_failed: bool = False,
+    command: Sequence[str] = (),
 ) -> Summary:
     """Finish all runs that are not done yet, in a results folder.
 
@@ -168,6 +175,7 @@ def execute(
         resources: where to execute them.
         references: the plan's reference policies; evaluated here, on cores that no run needs.
         retry_failed: run failed runs again; they continue from their last checkpoint.
+        command: the words of the command that does this, but for the folder, for `magical status`.
 
     Raises:
         ResultsError: see `magical.experiments.results.opened`; or no space is left.
@@ -181,7 +189,7 @@ def execute(
         again = (None, FAILED) if retry_failed else (None,)
         waiting = [run for run in runs if states[run] in again]
         open_dataset(waiting, results)  # if it refuses the plan, the previous one stays listed
-        results.write_plan(runs, list(map(reference_folder, references)))
+        results.write_plan(runs, list(map(reference_folder, references)), command)
 
         def go_on(_: int) -> None:
             if stop.seen:
@@ -260,14 +268,15 @@ class _References:
             for name, evaluation in references
             for modules in [modules_for(BUILT_IN[name](), list(evaluation.by_task))]
         )
-        self._started: list[Future[None]] = []
+        self._started: dict[Future[None], str] = {}
         self._pool = ProcessPool(min(resources.workers or available_cores(), len(references)))
 
     def start(self, slots: int) -> None:
         """Start evaluations until there are as many in progress as slots."""
         free = slots - sum(not future.done() for future in self._started)
         for _ in range(min(free, len(self._waiting))):
-            self._started.append(self._pool.submit(*self._waiting.popleft()))
+            work, reference = self._waiting.popleft()
+            self._started[self._pool.submit(work, reference)] = reference_folder(reference)
 
     def finish(self, progress: Callable[[int], None]) -> None:
         """Evaluate the rest; `progress` is called meanwhile, and may raise."""
@@ -275,8 +284,14 @@ class _References:
         while not all(future.done() for future in self._started):
             progress(0)
             wait(self._started, POLL)
-        for future in self._started:
-            future.result()
+        for future, name in self._started.items():
+            try:
+                future.result()
+            except WorkerDiedError as error:
+                raise WorkerDiedError(
+                    f"{error} while it evaluated {name}, all else is done; run the same command "
+                    "again"
+                ) from error
 
     def close(self) -> None:
         """End what is in progress."""

@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from magical.errors import CheckpointError, MagicalError, ScoresError
+from magical.errors import CheckpointError, CheckpointMismatchError, MagicalError, ScoresError
 from magical.evaluation import BUILT_IN, Entry, read_entry
 from magical.evaluation.entry import ENTRY_FILE, SCORES_FILE
 from magical.evaluation.protocol import Evaluation
@@ -91,6 +91,8 @@ def _train_and_evaluate(
     resume = is_run(folder)
     try:
         result = train(config, folder, resume=resume)
+    except CheckpointMismatchError:  # intact, but of other code: not to be replaced
+        raise
     except CheckpointError:  # the newest checkpoint is damaged
         result = train(config, folder, resume=resume, previous_checkpoint=resume)
     if result.interrupted:

@@ -7,6 +7,7 @@ import socket
 import tarfile
 import tempfile
 import threading
+import warnings
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import contextmanager, suppress
@@ -61,6 +62,11 @@ class RayExecutor:
         self._gpus = gpus
         self._results = results
         _connect(address, workers and workers * self._threads)
+        on_cpu = [run for run in runs if run.config.device == "auto"]
+        if not gpus and on_cpu and (found := ray.cluster_resources().get("GPU", 0)):
+            message = f"--gpus: Ray reserves no GPU for a run, but the cluster has {found:g}: "
+            message += "runs with device auto are on CPUs; --gpus 1 reserves one for each run"
+            warnings.warn(message, stacklevel=2)
         self._remote = ray.remote(_finish)
         self._packed: dict[Path, Any] = {}  # datasets, as object references
         self._tasks: dict[Future[Returned], Any] = {}  # the object references

@@ -108,10 +108,16 @@ class Results:
         if not found.keys() <= known.keys():
             write_json(self.path / EXPERIMENT, {**experiment, part: {**known, **found}})
 
-    def write_plan(self, runs: Sequence[PlannedRun], references: Sequence[str] = ()) -> None:
-        """Write the plan's runs and reference policies: what reports and `magical status` show."""
+    def write_plan(
+        self,
+        runs: Sequence[PlannedRun],
+        references: Sequence[str] = (),
+        command: Sequence[str] = (),
+    ) -> None:
+        """Write the plan's runs, reference policies and command, as `Listing` describes them."""
         listed = [asdict(run.listed()) for run in runs]
-        write_json(self.path / PLAN, {"runs": listed, "references": list(references)})
+        plan = {"runs": listed, "references": list(references), "command": list(command)}
+        write_json(self.path / PLAN, plan)
 
     def write_progress(self, running: Iterable[PlannedRun], slots: int) -> None:
         """Record which runs are in progress, and how many can be at a time."""

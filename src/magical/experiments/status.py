@@ -56,6 +56,7 @@ class Status:
         slots: how many runs it executes at a time.
         runs: every run, in the plan's order.
         others: the number of runs in the folder that are no longer in the plan.
+        command: the words of the command that continues the plan, but for the folder.
     """
 
     path: Path
@@ -63,11 +64,19 @@ class Status:
     slots: int
     runs: tuple[RunStatus, ...]
     others: int
+    command: tuple[str, ...] = ()
 
     @property
     def counts(self) -> Counter[str]:
         """The number of runs by state."""
         return Counter(run.state for run in self.runs)
+
+    @property
+    def steps(self) -> tuple[int, int]:
+        """The steps of training that are done, and all, of the runs that have not failed."""
+        runs = [run for run in self.runs if run.state != FAILED]
+        done = sum(run.total if run.state == DONE else run.step for run in runs)
+        return done, sum(run.total for run in runs)
 
     def seconds_left(self) -> float | None:
         """An estimate from the times of finished runs; `None` while there are none.
@@ -119,11 +128,10 @@ def read_status(folder: Path | str) -> Status:
     progress = RunsInProgress()
     if active and (path / PROGRESS).exists():
         progress = read_json(path / PROGRESS, RunsInProgress, ResultsError, max_bytes=MAX_BYTES)
-    runs = tuple(
-        _run_status(path, run, run.folder in progress.running) for run in read_listing(path).runs
-    )
+    listing = read_listing(path)
+    runs = tuple(_run_status(path, run, run.folder in progress.running) for run in listing.runs)
     others = {folder.name for folder in run_folders(path)} - {run.folder for run in runs}
-    return Status(path, active, progress.slots, runs, len(others))
+    return Status(path, active, progress.slots, runs, len(others), listing.command)
 
 
 def _run_status(path: Path, run: ListedRun, running: bool) -> RunStatus:

@@ -141,8 +141,10 @@ class Config(Settings):
         if not self.part(EncoderSettings):
             return
         if self.observation not in self.observations and not is_plugin(GROUP, self.observation):
+            known = self.observation in (*PRESETS, STATE)
             raise UnknownNameError(
-                f"observation {quoted(self.observation)} is unknown; expected one of: "
+                f"observation {quoted(self.observation)} is "
+                f"{f'not taken by {self.algorithm}' if known else 'unknown'}; expected one of: "
                 f"{', '.join(self.observations)}"
             )
         if STATE not in self.observations and self.observes_vectors:

@@ -5,7 +5,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any
@@ -31,6 +31,7 @@ class Child:
         module: the module's name.
         name: what error messages call the child.
         inherited: file descriptors to keep open in the child (not on Windows).
+        environ: environment variables, in addition to this process's.
 
     Attributes:
         process: the process.
@@ -38,13 +39,19 @@ class Child:
         replies: the reading end of the pipe of replies.
     """
 
-    def __init__(self, module: str, name: str, inherited: Sequence[int] = ()) -> None:
+    def __init__(
+        self,
+        module: str,
+        name: str,
+        inherited: Sequence[int] = (),
+        environ: Mapping[str, str] = {},
+    ) -> None:
         self.name = name
         entries = (entry for entry in sys.path if isinstance(entry, str))  # others are ignored
         setup = {"module": module, "path": [str(Path(entry).absolute()) for entry in entries]}
         read_end, write_end = _lifeline()
         try:
-            self.process = _start(setup, read_end, inherited)
+            self.process = _start(setup, read_end, inherited, environ)
         except BaseException:
             os.close(write_end)
             raise
@@ -114,7 +121,7 @@ def above_standard(descriptor: int) -> int:
 
 
 def _start(
-    setup: dict[str, Any], lifeline: int, inherited: Sequence[int]
+    setup: dict[str, Any], lifeline: int, inherited: Sequence[int], environ: Mapping[str, str]
 ) -> "subprocess.Popen[bytes]":
     platform: dict[str, Any]
     # A process group of its own keeps a terminal's Ctrl-C away while the interpreter starts.
@@ -134,6 +141,6 @@ def _start(
         [sys.executable, "-P", str(_START), json.dumps({**setup, "lifeline": lifeline})],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
-        env={**os.environ, **_ONE_THREAD},
+        env={**os.environ, **_ONE_THREAD, **environ},
         **platform,
     )

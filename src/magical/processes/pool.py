@@ -4,10 +4,11 @@ import atexit
 import os
 import pickle
 from collections import deque
-from collections.abc import Callable, Generator, Iterable
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from concurrent.futures import Future
 from contextlib import closing
 from functools import partial
+from itertools import cycle, islice
 from queue import SimpleQueue
 from threading import Lock, Thread
 from typing import IO, Any, TypeVar
@@ -96,10 +97,11 @@ def _calls(
 class ProcessPool:
     """Child processes that compute one task after another; tasks are submitted individually.
 
-    `map_in_processes` is simpler if results are wanted in the items' order.
+    `map_in_processes` is simpler if results are wanted in the items' order. The children differ in
+    the environment variables `environs`, which are given to them by turns.
     """
 
-    def __init__(self, count: int) -> None:
+    def __init__(self, count: int, environs: Sequence[Mapping[str, str]] = ({},)) -> None:
         self._tasks: SimpleQueue[tuple[bytes, Future[Any]] | None] = SimpleQueue()
         self._children: list[Child] = []
         self._lock = Lock()  # held while a task is added, or a child is started or removed
@@ -107,7 +109,10 @@ class ProcessPool:
         self._owner = os.getpid()
         atexit.register(self.close)  # while the threads can still run
         # Each has its own child, from its first task on.
-        self._threads = [Thread(target=self._serve, daemon=True) for _ in range(count)]
+        given = islice(cycle(environs), count)
+        self._threads = [
+            Thread(target=self._serve, args=(environ,), daemon=True) for environ in given
+        ]
         for thread in self._threads:
             thread.start()
 
@@ -151,7 +156,7 @@ class ProcessPool:
         for thread in self._threads:
             thread.join()
 
-    def _serve(self) -> None:
+    def _serve(self, environ: Mapping[str, str]) -> None:
         """Have a child compute one task after another; a child that dies is replaced."""
         child: Child | None = None
         while task := self._tasks.get():
@@ -159,7 +164,7 @@ class ProcessPool:
             if not result.set_running_or_notify_cancel():
                 continue
             try:
-                child = self._open_child(child)
+                child = self._open_child(child, environ)
                 child.send(message)
                 succeeded, value = child.receive()
             except WorkerDiedError as error:
@@ -174,12 +179,12 @@ class ProcessPool:
                 result.set_exception(value)
         self._remove(child)
 
-    def _open_child(self, child: Child | None) -> Child:
+    def _open_child(self, child: Child | None, environ: Mapping[str, str]) -> Child:
         with self._lock:
             if self._closed:
                 raise _closed_error()
             if child is None:
-                child = Child(__name__, "a worker process")
+                child = Child(__name__, "a worker process", environ=environ)
                 self._children.append(child)
             return child
 

@@ -35,6 +35,9 @@ CURVES = "learning-curves.png"
 TENSORBOARD = "tensorboard"
 WRITTEN = (CONFIG, RECORD, METRICS, CHECKPOINT, PREVIOUS, CURVES)  # by the holder of the lock
 
+# Settings that may change when a run is resumed. The dataset may have been moved: its contents are
+# compared instead. The others do not change the result.
+CHANGEABLE = ("demos", "workers", "log_every", "checkpoint_every")
 VERSIONED = ("torch", "numpy", "pymunk", "numba", "safetensors")  # what results may depend on
 
 
@@ -113,11 +116,8 @@ def _check_existing(path: Path, config: Mapping[str, Any], resume: bool) -> None
 
 
 def differences(wanted: Mapping[str, Any], found: Mapping[str, Any]) -> str:
-    """The settings that differ, and how.
-
-    The dataset's path may change between sessions of a run: its contents are compared instead.
-    """
-    names = [name for name in {**wanted, **found} if name != "demos"]
+    """The settings that differ, and how, other than those in `CHANGEABLE`."""
+    names = [name for name in {**wanted, **found} if name not in CHANGEABLE]
     return ", ".join(
         f"{printable(name)} {quoted(found.get(name))} there, {quoted(wanted.get(name))} asked for"
         for name in names

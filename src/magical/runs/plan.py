@@ -63,11 +63,13 @@ class Listing:
         runs: the planned runs.
         references: the folders of reference policies in `REFERENCES`; `None`: not recorded.
         collected: used by the studies.
+        command: the words of the command that continues the plan, but for its folder.
     """
 
     runs: tuple[ListedRun, ...] = ()
     references: tuple[str, ...] | None = None
     collected: dict[str, Any] = field(default_factory=dict)
+    command: tuple[str, ...] = ()
 
 
 def read_listing(path: Path) -> Listing:

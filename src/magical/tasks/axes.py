@@ -47,6 +47,15 @@ VARIANTS: Mapping[str, Axis] = {
 }
 
 
+# What differs from the Demo scene in each variant, in words.
+CHANGED: Mapping[str, str] = {
+    DEMO: "nothing: the scene of the demonstrations",
+    **{name: CHANGES[axes] for name, axes in VARIANTS.items() if axes in CHANGES},
+    "TestCountPlus": CHANGES[Axis.COUNT],
+    TEST_ALL: "all that the task allows, together",
+}
+
+
 def short_variant(variant: str) -> str:
     """A variant's name in tables, for instance `Jitter` for `TestJitter`."""
     return variant.removeprefix("Test")

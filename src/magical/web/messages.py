@@ -75,6 +75,10 @@ class Pause(_Message, frozen=True):
     """Stop the clock until the next key."""
 
 
+class Resume(_Message, frozen=True):
+    """Start the clock again."""
+
+
 class Show(_Message, frozen=True, tag="view"):
     """Render another view, one of `PAGE_VIEWS`."""
 
@@ -109,7 +113,7 @@ class HandBack(_Message, frozen=True, tag="hand_back"):
     """Let the policy continue after the player has taken over or paused it."""
 
 
-Message = Keys | Start | Restart | Pause | Show | Keep | Discard | Watch | HandBack
+Message = Keys | Start | Restart | Pause | Resume | Show | Keep | Discard | Watch | HandBack
 
 
 class NoQuery(Struct, frozen=True):

@@ -35,7 +35,7 @@ class Phase(StrEnum):
 
     READY = "ready"  # the first key of an episode
     PLAYING = "playing"  # the clock
-    PAUSED = "paused"  # any key
+    PAUSED = "paused"  # any key, or `Resume`
     ENDED = "ended"  # to keep or discard; without recording, the next episode
     SAVING = "saving"  # the disk
 
@@ -149,6 +149,8 @@ class Session:
                 self._begin(self.episode.env_id, self.episode.seed, self._policy)
             case messages.Pause():
                 self.pause()
+            case messages.Resume() if self.phase is Phase.PAUSED:
+                self.phase = Phase.PLAYING
             case messages.Show(view):
                 self.view = view
             case messages.Keep(demonstrator):

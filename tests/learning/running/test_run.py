@@ -11,8 +11,9 @@ import pytest
 import torch
 
 from magical.errors import DivergedError, InvalidConfigError, RunFolderError, UnknownNameError
-from magical.learning import algorithm_names, find_algorithm
+from magical.learning import Algorithm, algorithm_names, find_algorithm, train
 from magical.learning.algorithms.bc import BCConfig
+from magical.learning.algorithms.bc import make_policy as bc_policy
 from magical.learning.config import CHECKPOINT_SECONDS, options
 from magical.learning.running.devices import restored_threads
 from magical.learning.running.run import Run
@@ -168,6 +169,32 @@ def test_configurations_are_checked() -> None:
         InvalidConfigError, match="setting 'odd' is unknown; expected one of: tasks"
     ):
         BCConfig.from_dict({**made().to_dict(), "odd": 1})
+
+
+def test_a_precision_that_an_algorithm_would_ignore_is_refused(folder: Path) -> None:
+    config = CONFIGURATION.replace(precision="bfloat16", device="cuda")
+    with (
+        Run(folder, config) as run,
+        pytest.raises(InvalidConfigError, match="device cuda and precision bfloat16: this algorit"),
+    ):
+        finish(run, 1)
+    assert read_metrics(folder) == []
+    with restored_threads(), Run(folder, config) as run:
+        run.compute("cpu", "bfloat16", 1)
+        finish(run, 1)
+
+
+def test_threads_are_set_before_an_algorithm_is_called(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found: list[int] = []
+    own = Algorithm(BCConfig, lambda config, run: found.append(torch.get_num_threads()), bc_policy)
+    monkeypatch.setattr("magical.learning.running.training.find_algorithm", lambda name: own)
+    before = torch.get_num_threads()
+    for threads in (1, 3):
+        train(CONFIGURATION.replace(threads=threads), tmp_path / str(threads))
+    assert found == [1, 3]
+    assert torch.get_num_threads() == before
 
 
 def test_options_follow_the_fields() -> None:

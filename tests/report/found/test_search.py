@@ -218,6 +218,15 @@ def test_escape_sequences_in_names_do_not_reach_the_terminal(
     assert "\\x1b[2Jdamaged" in capsys.readouterr().err
 
 
+def test_a_plan_without_scores_is_no_folder_to_evaluate_into(tmp_path: Path) -> None:
+    write_plan(tmp_path, "begun", "waiting")
+    write_json(tmp_path / "runs" / "begun" / "config.json", {"seed": 0})
+    with pytest.raises(ScoresError, match="none of the 2 planned runs has scores yet") as error:
+        find_results([tmp_path])
+    assert "magical evaluate" not in str(error.value)
+    assert "`magical status DIR`" in str(error.value)
+
+
 def test_a_training_run_counts_once_in_a_row(write_entry: WriteEntry, tmp_path: Path) -> None:
     write_entry("a", "bc", LINE, seed=0, details={"date": "2050-01-01"})
     write_entry("another-set-of-seeds", "bc", {"MakeLine-Demo": [0.0, 0.0]}, seed=0)

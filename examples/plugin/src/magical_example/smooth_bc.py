@@ -20,6 +20,7 @@ from magical.learning.data.expert_data import ExpertData, load_demonstrations
 from magical.learning.models import PolicyNetwork, Trunk
 from magical.learning.running.averages import Averages
 from magical.learning.running.checkpoints import StateDict, restoring
+from magical.learning.running.devices import choose_device
 from magical.learning.running.optimizers import load_optimizer, optimizer_state
 from magical.learning.running.run import Run
 from magical.learning.running.streams import Purpose, seeded_init, stream
@@ -53,12 +54,11 @@ class SmoothBCConfig(Config):
 
 def train(config: SmoothBCConfig, run: Run) -> None:
     """Train on batches of the demonstrations, from the run's newest checkpoint on."""
-    compute = run.compute("cpu", config.network_precision, config.threads)
-    network = make_policy(config)
+    compute = run.compute(choose_device(config.device), config.network_precision, config.threads)
+    network = make_policy(config).to(compute.device)
     optimizer = torch.optim.Adam(network.parameters(), config.learning_rate)
-    data = ExpertData(
-        load_demonstrations(config, run), config.tasks, config.observation_spec, device="cpu"
-    )
+    demonstrations = load_demonstrations(config, run)
+    data = ExpertData(demonstrations, config.tasks, config.observation_spec, device=compute.device)
     if run.saved:
         with restoring(run.folder):
             network.load_state_dict(run.saved["policy"])

@@ -116,7 +116,10 @@ def _fetch(url: str, target: Path, digest: str) -> str | None:
         except urllib.error.URLError as error:
             problem = printable(str(error.reason))
             if attempt == ATTEMPTS:
-                raise DownloadError(f"{url}: no answer: {problem}") from error
+                raise DownloadError(
+                    f"{url}: no answer: {problem}; files from elsewhere are read by `magical demos "
+                    "import`"
+                ) from error
         except DownloadError as error:
             return str(error)
         except _INTERRUPTIONS as error:

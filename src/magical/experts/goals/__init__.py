@@ -67,9 +67,14 @@ def get_planner(task: str) -> Planner:
 
 
 def has_expert(task: str) -> bool:
-    """Whether a task has a scripted expert; the expert is not imported."""
-    known = task in _registered or _is_ours(task) or task in plugins(GROUP) or is_generated(task)
-    return known or _program(task) is not None
+    """Whether a task has a scripted expert; another package's is not imported."""
+    if task in _registered or _is_ours(task) or task in plugins(GROUP) or is_generated(task):
+        return True
+    if (program := _program(task)) is None:
+        return False
+    from magical.experts.goals._programs import is_planned
+
+    return is_planned(program)
 
 
 def _program(task: str) -> Goal | None:

@@ -20,7 +20,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load, save
 from torch import Tensor
 
-from magical.errors import CheckpointError, MagicalError
+from magical.errors import CheckpointError, CheckpointMismatchError, MagicalError
 from magical.files import link_atomically, read_regular, reading, write_atomically
 from magical.messages import printable
 from magical.runs.folder import CHECKPOINT, PREVIOUS
@@ -88,7 +88,7 @@ def restoring(path: Path) -> Iterator[None]:
     """Context manager for restoring state that was read from a checkpoint or a folder with one.
 
     Raises:
-        CheckpointError: the state does not fit: the file belongs to another network or program.
+        CheckpointMismatchError: the state does not fit: it is of another network or program.
     """
     try:
         yield
@@ -98,9 +98,9 @@ def restoring(path: Path) -> Iterator[None]:
         *(AttributeError, IndexError, KeyError, OverflowError, RecursionError, RuntimeError),
         *(SafetensorError, TypeError, ValueError, zlib.error),
     ) as error:
-        raise CheckpointError(
-            f"{path}: the checkpoint is of another network or program: "
-            f"{type(error).__name__}: {printable(str(error))}"
+        raise CheckpointMismatchError(
+            f"{path}: the checkpoint is of another network or program; continue with the code that "
+            f"saved it, or train again: {type(error).__name__}: {printable(str(error))}"
         ) from error
 
 
@@ -142,9 +142,12 @@ def load_newest_checkpoint(folder: Path) -> StateDict:
 
     Raises:
         CheckpointError: it is missing or damaged; the message says if the previous is intact.
+        CheckpointMismatchError: it is intact, but not a checkpoint of this program.
     """
     try:
         return load_checkpoint(folder / CHECKPOINT)
+    except CheckpointMismatchError:
+        raise
     except CheckpointError as error:
         raise CheckpointError(f"{error}; {_alternative(folder)}") from error
 

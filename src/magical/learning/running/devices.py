@@ -1,5 +1,6 @@
 """Device, precision and threads: chosen once, recorded with the run."""
 
+import os
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
@@ -71,6 +72,13 @@ def choose_device(device: str) -> Device:
             "built for CUDA"
         )
     return "cuda" if available and device != "cpu" else "cpu"
+
+
+def visible_gpus() -> list[str]:
+    """The GPUs that this process may use, each as `CUDA_VISIBLE_DEVICES` would name it."""
+    count = torch.cuda.device_count()
+    named = os.environ.get("CUDA_VISIBLE_DEVICES")
+    return list(map(str, range(count))) if named is None else named.split(",")[:count]
 
 
 def choose_compute(device: Device, precision: str, threads: int) -> Compute:

@@ -64,6 +64,9 @@ class Run:
             raise InvalidConfigError(f"stop_after: expected a positive number, found {stop_after}")
         self.folder = folder
         self._seed, self._checkpoint_every = config.seed, config.checkpoint_every
+        asked = (f"device {config.device}", f"precision {config.precision}")
+        # What the algorithm would ignore if it did not call `compute`.
+        self._ignored = [each for each in asked if each in ("device cuda", "precision bfloat16")]
         self.callbacks: list[Callback] = []
         self._interrupts = interrupts or Interrupts()
         self.record = read_json(folder / RECORD) if (folder / RECORD).exists() else {}
@@ -109,6 +112,7 @@ class Run:
             chosen = choose_compute(device, precision, threads)
             self._write_record({"compute": asdict(chosen)})
         chosen.set_threads()
+        self._ignored = []
         return chosen
 
     def _write_record(self, facts: Mapping[str, Any]) -> None:
@@ -140,7 +144,14 @@ class Run:
 
         Raises:
             DivergedError: metrics or state are not finite; the checkpoints are left unchanged.
+            InvalidConfigError: a device or a precision is asked for, and the algorithm has not
+                called `compute`.
         """
+        if self._ignored:
+            raise InvalidConfigError(
+                f"{' and '.join(self._ignored)}: this algorithm does not take them, since its "
+                "train function does not call run.compute; leave them out"
+            )
         stops = self._interrupts.seen or step >= self._last
         if stops or last or step % log_every == 0:
             found = metrics()

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import torch
+
 from magical.errors import InvalidConfigError
 from magical.learning.algorithms import find_algorithm
 from magical.learning.config import Config
@@ -130,6 +132,8 @@ def _opened(folder: Path, config: Config, resume: bool, previous: bool) -> Itera
         flushed_denormals(),
         gpu_memory_as_error(),
     ):
+        if config.threads:
+            torch.set_num_threads(config.threads)
         if previous:
             restore_previous_checkpoint(folder)
         yield

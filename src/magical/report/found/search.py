@@ -171,6 +171,12 @@ def find_results(folders: Iterable[Path | str]) -> Found:
     found = search_results(folders)
     if not found.results:
         reasons = [item.reason for item in found.skipped]
+        if found.planned:
+            run, why = found.planned[0]
+            reasons += [
+                f"none of the {len(found.planned)} planned runs has scores yet ({run}: {why}); "
+                "`magical status DIR` names the command that continues the plan"
+            ]
         raise ScoresError(reasons[0] if reasons else "expected folders, found none")
     skipped = list(found.skipped)
     counted: set[int] = set()
@@ -212,8 +218,10 @@ def search_results(folders: Iterable[Path | str], without: Path | None = None) -
         new = [place for place in _places(root, without) if place.resolve() not in known]
         places += new
         known.update(place.resolve() for place in new)
-        # A root without any entry is read anyway: the error says what was expected.
-        found = [*_entries(new)] or [(place, _read_entry(place)) for place in new if place == root]
+        # A root without any entry is read anyway, unless it has a plan: the error says what was
+        # expected.
+        alone = [place for place in new if place == root and not (place / PLAN).is_file()]
+        found = [*_entries(new)] or [(place, _read_entry(place)) for place in alone]
         for place, entry in found:
             if place != root and not _is_planned(place, root, listed):
                 skipped.append(

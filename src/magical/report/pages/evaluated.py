@@ -21,6 +21,7 @@ from magical.report.scores.summaries import (
     profiles,
 )
 from magical.report.scores.tables import DARKEST, LIGHTEST, TextTable, report_tables
+from magical.tasks.axes import CHANGED, short_variant
 
 
 def write_page(
@@ -31,6 +32,7 @@ def write_page(
     *,
     load_policy: LoadPolicy | None = None,
     clips: int = 0,
+    conclusions: Sequence[str] = (),
 ) -> Sequence[str]:
     """Write a page with all results of evaluated runs and their training, and what is missing.
 
@@ -43,6 +45,7 @@ def write_page(
         published: rows of the published tables to show.
         load_policy: loads a run's policy; needed if `clips` is not 0.
         clips: the number of runs whose best, median and worst rollouts are recorded.
+        conclusions: sentences at the beginning of the page.
 
     Returns:
         Why there are no rollouts, if some were requested and none could be recorded.
@@ -53,7 +56,7 @@ def write_page(
     reels, notes = (
         record_reels(found.results, load_policy, clips) if load_policy and clips else ([], [])
     )
-    write_text(path, _html(title, found, published, path, reels, notes))
+    write_text(path, _html(title, found, published, path, reels, notes, conclusions))
     return () if reels else notes
 
 
@@ -64,6 +67,7 @@ def _html(
     path: Path,
     reels: Sequence[Reel],
     notes: Sequence[str],
+    conclusions: Sequence[str],
 ) -> str:
     methods = compared_methods(found.entries)
     curves, damaged = curves_by_task(found.results)
@@ -75,6 +79,8 @@ def _html(
         darkest=f"rgb{DARKEST}",
         title=title,
         subtitle=_subtitle(found, len(skipped)),
+        conclusions=conclusions,
+        changed=_changed(found.entries),
         tables=report_tables(found.entries, published),
         rollouts=_rollouts(found.entries),
         aggregate=aggregate_table(methods, found.entries) if methods else None,
@@ -89,6 +95,12 @@ def _html(
         version=__version__,
         methods=describe_methods(found.results, path),
     )
+
+
+def _changed(entries: Sequence[Entry]) -> dict[str, str]:
+    """What differs from the Demo scene in each variant that was evaluated."""
+    evaluated = {row.env_id.variant for entry in entries for row in entry.scores}
+    return {short_variant(name): text for name, text in CHANGED.items() if name in evaluated}
 
 
 def _rollouts(entries: Sequence[Entry]) -> str:

@@ -100,7 +100,8 @@ function showStatus(message) {
   element("notice").textContent = message.notice;
   const choosing = deciding();
   element("decision").hidden = !choosing;
-  element("pause").disabled = message.phase !== "playing";
+  element("pause").disabled = message.phase !== "playing" && message.phase !== "paused";
+  element("pause-text").textContent = message.phase === "paused" ? "Resume" : "Pause";
   element("restart").disabled = element("new").disabled = choosing || message.phase === "saving";
   element("name-label").hidden = !message.recording;
   element("view").value = message.view;
@@ -129,8 +130,8 @@ function showPhase(message) {
   const key = matchMedia("(pointer: coarse)").matches ? "button" : "key";
   const text = {
     ready: `Seed ${seed}. Press a ${key} to begin.`,
-    paused: policy ? `Paused. Hand back to let ${policy} continue; a ${key} takes over.`
-      : `Paused. Press a ${key} to continue.`,
+    paused: policy ? `Paused. Resume to continue, hand back to let ${policy} act; a ${key} takes over.`
+      : `Paused. Resume, or press a ${key}, to continue.`,
     ended: `Episode over: score ${score.toFixed(2)}.${
       deciding() ? " Keep this episode?" : " Start over, or try a new scene."}`,
     saving: "Saving…",
@@ -179,7 +180,7 @@ export function fillWho() {
 const COMMANDS = {
   r: () => send({ type: "restart" }),
   n: () => latest && send({ type: "start", env_id: latest.env_id, seed: null }),
-  p: () => send({ type: "pause" }),
+  p: () => send({ type: latest?.phase === "paused" ? "resume" : "pause" }),
   h: () => latest?.policy !== null && send({ type: "hand_back" }),
   k: () => deciding() && keep(),
   d: () => deciding() && send({ type: "discard" }),
