@@ -9,7 +9,7 @@ import numpy as np
 from magical.envs import EnvId
 from magical.evaluation.intervals import Floats
 from magical.evaluation.scores import RolloutScore
-from magical.evaluation.statistics import generalisation_gap, mean, run_means
+from magical.evaluation.statistics import difference, generalisation_gap, mean, run_means
 from magical.grouping import group_by
 from magical.report.found.search import search_results
 from magical.report.scores.tables import signed
@@ -20,6 +20,29 @@ from tools.readme_tables import table
 
 PLAN = "held-out"
 RANDOM = "random"
+PLAN_OF = {"iq-learn-gail": "iq-learn"}  # of the parts below that are not named like their plans
+BESIDE = {  # plans whose methods are compared with methods of other plans, as {plan: method}
+    "sequence-learners": {"bc-human": "BC (ST)"},
+    "sequence-learners-held-out": {"held-out": "BC (ST)"},
+    "sequence-learners-longer": {
+        "sequence-learners": "Diffusion policy (ST)",
+        "bc-human": "BC (ST)",
+    },
+    "sequence-learners-executed": {
+        "sequence-learners": "Diffusion policy (ST)",
+        "bc-human": "BC (ST)",
+    },
+    "sequence-learners-hundred": {},
+    "iq-learn": {"bc-human": "BC (ST)"},
+    "iq-learn-gail": {"adversarial-human": "GAIL (ST)", "bc-human": "BC (ST)"},
+    "program-bc-few": {"program-bc-held-out": "program-bc (ST)"},
+    "object-networks-human": {
+        "bc-human": "BC (ST)",
+        "bc-ablations-human": "BC (ST, allo.)",
+        "program-bc-human": "program-bc (ST), human",
+    },
+    "object-bc-ablations-human": {},
+}
 ENDS = (SHORT_VARIANTS[0], SHORT_VARIANTS[-1])  # Demo and All
 
 Runs = Sequence[Sequence[RolloutScore]]
@@ -36,11 +59,13 @@ def held_out_tables(root: Path) -> str:
         [task, _pair(experts[task]), *(_pair(_ends(runs, task)) for runs in methods.values())]
         for task in plan.plan["tasks"]
     ]
+    tasks = plan.plan["tasks"]
     variants = [
-        [name, *(_over_tasks(runs, plan.plan["tasks"], v) for v in SHORT_VARIANTS)]
+        [name, *(_over_tasks(runs, tasks, v) for v in SHORT_VARIANTS), _across_tasks(runs, tasks)]
         for name, runs in methods.items()
     ]
-    return f"{table(header, rows)}\n\n{table(('Mean over tasks', *SHORT_VARIANTS), variants)}"
+    titles = ("Mean over tasks", *SHORT_VARIANTS, "All, interval over tasks")
+    return f"{table(header, rows)}\n\n{table(titles, variants)}"
 
 
 def others(root: Path) -> Iterable[Path]:
@@ -62,29 +87,18 @@ def task_table(root: Path, name: str) -> str:
     return "\n\n".join(parts)
 
 
-def method_table(root: Path, name: str, beside: Mapping[str, str]) -> str:
+def method_table(root: Path, part: str) -> str:
     """Methods by variants: means over the tasks that all of them have been run on.
 
     Args:
         root: the repository.
-        name: of a plan, whose methods are all shown.
-        beside: methods of other plans, by the plan's name.
+        part: of a page, in `BESIDE`: all methods of its plan are shown, and those beside.
     """
-    shown = PlanResults.read(root, name)
+    shown = PlanResults.read(root, PLAN_OF.get(part, part))
     if not shown.collected:
         return NOTHING
     variants = shown.plan.get("variants", SHORT_VARIANTS)
-    rows: dict[str, tuple[Runs, PlanResults]] = {}
-    for plan, wanted in ((name, None), *beside.items()):
-        results = PlanResults.read(root, plan)
-        for method, runs in read_methods(root.glob(f"studies/*/results/{plan}")).items():
-            if wanted in (None, method):
-                rows[method] = runs, results
-    tasks = [
-        task
-        for task in shown.plan["tasks"]
-        if all(np.isfinite(_means(runs, [task], ENDS[0])).any() for runs, _ in rows.values())
-    ]
+    rows, tasks = _beside(root, shown, BESIDE[part])
     published = [f"{variant}, published rule" for variant in ENDS]
     last = ("Gap", *published, "Minutes of training")
     header = (f"Mean over {task_names(tasks)}", *variants, *last)
@@ -99,6 +113,38 @@ def method_table(root: Path, name: str, beside: Mapping[str, str]) -> str:
         for method, (runs, results) in rows.items()
     ]
     return table(header, lines)
+
+
+def difference_table(root: Path, part: str) -> str:
+    """The plan's first method less each of the others, by variant; arguments as `method_table`."""
+    shown = PlanResults.read(root, PLAN_OF.get(part, part))
+    if not shown.collected:
+        return NOTHING
+    rows, tasks = _beside(root, shown, BESIDE[part])
+    (first, (runs, _)), *others = rows.items()
+    lines = [
+        [method, *(_difference(runs, other, tasks, variant) for variant in SHORT_VARIANTS)]
+        for method, (other, _) in others
+    ]
+    return table((f"{first} less", *SHORT_VARIANTS), lines)
+
+
+def _beside(
+    root: Path, shown: PlanResults, beside: Mapping[str, str]
+) -> tuple[Mapping[str, tuple[Runs, PlanResults]], Sequence[str]]:
+    """The runs of a plan's methods and of those beside, and the tasks that all have been run on."""
+    rows: dict[str, tuple[Runs, PlanResults]] = {}
+    for plan, wanted in ((shown.name, None), *beside.items()):
+        results = PlanResults.read(root, plan)
+        for method, runs in read_methods(root.glob(f"studies/*/results/{plan}")).items():
+            if wanted in (None, method):
+                rows[method] = runs, results
+    tasks = [
+        task
+        for task in shown.plan["tasks"]
+        if all(np.isfinite(_means(runs, [task], ENDS[0])).any() for runs, _ in rows.values())
+    ]
+    return rows, tasks
 
 
 def read_methods(folders: Iterable[Path]) -> Mapping[str, Runs]:
@@ -144,6 +190,21 @@ def _gap(runs: Runs, tasks: Sequence[str]) -> str:
     env_ids = [EnvId(task, full_variant(variant)) for task in tasks for variant in ENDS]
     scores = run_means(runs, env_ids)
     return signed(generalisation_gap(scores[~np.isnan(scores).all(axis=1)], env_ids))
+
+
+def _difference(first: Runs, second: Runs, tasks: Sequence[str], variant: str) -> str:
+    """With Welch's interval over runs."""
+    ours, theirs = (_means(runs, tasks, variant) for runs in (first, second))
+    shared = ~(np.isnan(ours).all(axis=0) | np.isnan(theirs).all(axis=0))
+    ours, theirs = ours[:, shared], theirs[:, shared]
+    ours, theirs = (part[~np.isnan(part).all(axis=1)] for part in (ours, theirs))
+    return signed(difference(ours, theirs))
+
+
+def _across_tasks(runs: Runs, tasks: Sequence[str]) -> str:
+    """The mean on All with Student's t interval over tasks, each a mean over its runs."""
+    means = np.nanmean(_means(runs, tasks, ENDS[1]), axis=0)
+    return mean_text(mean(means[:, np.newaxis]))
 
 
 def _over_tasks(runs: Runs, tasks: Sequence[str], variant: str, rule: str = "score") -> str:
