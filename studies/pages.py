@@ -23,7 +23,13 @@ from magical.report.leaderboard.ranking import ALL_TASKS, Board, make_boards
 from magical.report.scores.summaries import interval_text, over
 from magical.report.scores.tables import signed
 from magical.tasks.axes import SHORT_VARIANTS
-from studies.generated_tasks.baselines import held_out_tables, method_table, task_table
+from studies.generated_tasks.baselines import (
+    BESIDE,
+    difference_table,
+    held_out_tables,
+    method_table,
+    task_table,
+)
 from studies.plan_results import LEADERBOARD, NOT_RUN, NOTHING, OTHERS, PLANS, PlanResults
 from studies.published_tables.agreement import find_agreements
 from studies.published_tables.cells import (
@@ -72,33 +78,12 @@ SECTIONS = {  # the generated parts of each study's page
     "intent": (*BY_TASK, "program-bc-few", "object-networks-human"),
     "modern_baselines": (
         *("sequence-learners", "sequence-learners-held-out", "sequence-learners-longer"),
-        *("sequence-learners-executed", "sequence-learners-hundred", "iq-learn", "iq-learn-gail"),
+        *("sequence-learners-executed", "executed-differences", "sequence-learners-hundred"),
+        *("iq-learn", "iq-learn-gail"),
     ),
     "objects": ("baseline", "gaps", "object-bc-ablations-human", "leaderboard", "others"),
 }
-PLAN_OF = {"iq-learn-gail": "iq-learn"}  # of the parts below that are not named like their plans
-BESIDE = {  # plans whose methods are compared with methods of other plans, as {plan: method}
-    "sequence-learners": {"bc-human": "BC (ST)"},
-    "sequence-learners-held-out": {"held-out": "BC (ST)"},
-    "sequence-learners-longer": {
-        "sequence-learners": "Diffusion policy (ST)",
-        "bc-human": "BC (ST)",
-    },
-    "sequence-learners-executed": {
-        "sequence-learners": "Diffusion policy (ST)",
-        "bc-human": "BC (ST)",
-    },
-    "sequence-learners-hundred": {},
-    "iq-learn": {"bc-human": "BC (ST)"},
-    "iq-learn-gail": {"adversarial-human": "GAIL (ST)", "bc-human": "BC (ST)"},
-    "program-bc-few": {"program-bc-held-out": "program-bc (ST)"},
-    "object-networks-human": {
-        "bc-human": "BC (ST)",
-        "bc-ablations-human": "BC (ST, allo.)",
-        "program-bc-human": "program-bc (ST), human",
-    },
-    "object-bc-ablations-human": {},
-}
+EXECUTED = "sequence-learners-executed"
 PICTURE = Path("published_tables", "results.png")
 BASELINE = ("object-bc (ST)", HUNDRED)  # both learned from the same demonstrations
 EXPERT = "expert"  # folder and method of the scripted experts' entry, which is not part of a plan
@@ -171,10 +156,8 @@ class Page:
             "others": self.other_tables,
             "held-out": lambda: held_out_tables(self.root),
             **{name: partial(task_table, self.root, name) for name in BY_TASK},
-            **{
-                name: partial(method_table, self.root, PLAN_OF.get(name, name), of)
-                for name, of in BESIDE.items()
-            },
+            **{name: partial(method_table, self.root, name) for name in BESIDE},
+            "executed-differences": partial(difference_table, self.root, EXECUTED),
             "cells": self.cell_tables,
             "rejected": self.rejections,
         }

@@ -65,13 +65,24 @@ def test_the_source_distribution_has_what_its_tests_need(distributions: Path, ro
     with tarfile.open(built) as archive:
         names = {name.partition("/")[2] for name in archive.getnames()}
     tops = {name.split("/")[0] for name in names}
-    files = {*("CHANGELOG.md", "CITATION.cff", "CONTRIBUTING.md", "LICENSE", "Makefile")}
+    files = {*("CHANGELOG.md", "CITATION.cff", "CONTRIBUTING.md", "LICENSE", "Makefile", "NOTICE")}
     files |= {*("PKG-INFO", "README.md", "constraints.txt", "mkdocs.yml", "noxfile.py")}
     folders = {"benchmarks", "docs", "entries", "examples", "src", "tests", "tools"}
     assert tops - {".gitignore"} == {*files, *folders, "pyproject.toml"}
     tests = {path.relative_to(root).as_posix() for path in (root / "tests").rglob("*.py")}
     assert tests <= names
     assert not [name for name in names if "results" in name.split("/")]
+
+
+def test_the_notice_has_the_published_packages_licence_and_is_in_the_wheel(
+    wheel: Path, root: Path
+) -> None:
+    notice = (root / "NOTICE").read_text()
+    assert "\nCopyright 2020 Sam Toyer\n" in notice
+    assert "the above copyright notice and this permission notice appear in all copies." in notice
+    with zipfile.ZipFile(wheel) as archive:
+        (name,) = (name for name in archive.namelist() if name.endswith("/NOTICE"))
+        assert archive.read(name).decode() == notice
 
 
 def test_the_package_page_has_no_link_into_the_repository(wheel: Path) -> None:

@@ -11,6 +11,7 @@ from magical.evaluation import Entry
 from magical.evaluation.intervals import FEWEST_RUNS, Floats, Interval
 from magical.evaluation.scores import RolloutScore
 from magical.evaluation.statistics import (
+    difference,
     gap_weights,
     generalisation_gap,
     mean,
@@ -29,6 +30,29 @@ from tools.readme_tables import table
 
 PLAN = "held-out"
 RANDOM = "random"
+PLAN_OF = {"iq-learn-gail": "iq-learn"}  # of the parts below that are not named like their plans
+BESIDE = {  # plans whose methods are compared with methods of other plans, as {plan: method}
+    "sequence-learners": {"bc-human": "BC (ST)"},
+    "sequence-learners-held-out": {"held-out": "BC (ST)"},
+    "sequence-learners-longer": {
+        "sequence-learners": "Diffusion policy (ST)",
+        "bc-human": "BC (ST)",
+    },
+    "sequence-learners-executed": {
+        "sequence-learners": "Diffusion policy (ST)",
+        "bc-human": "BC (ST)",
+    },
+    "sequence-learners-hundred": {},
+    "iq-learn": {"bc-human": "BC (ST)"},
+    "iq-learn-gail": {"adversarial-human": "GAIL (ST)", "bc-human": "BC (ST)"},
+    "program-bc-few": {"program-bc-held-out": "program-bc (ST)"},
+    "object-networks-human": {
+        "bc-human": "BC (ST)",
+        "bc-ablations-human": "BC (ST, allo.)",
+        "program-bc-human": "program-bc (ST), human",
+    },
+    "object-bc-ablations-human": {},
+}
 ENDS = (SHORT_VARIANTS[0], SHORT_VARIANTS[-1])  # Demo and All
 
 Runs = Sequence[Sequence[RolloutScore]]
@@ -46,11 +70,13 @@ def held_out_tables(root: Path) -> str:
         [task, _pair(experts[task]), *(_pair(_ends(runs, task)) for runs in methods.values())]
         for task in plan.plan["tasks"]
     ]
+    tasks = plan.plan["tasks"]
     variants = [
-        [name, *(_over_tasks(runs, plan.plan["tasks"], v) for v in SHORT_VARIANTS)]
+        [name, *(_over_tasks(runs, tasks, v) for v in SHORT_VARIANTS), _across_tasks(runs, tasks)]
         for name, runs in methods.items()
     ]
-    return f"{table(header, rows)}\n\n{table(('Mean over tasks', *SHORT_VARIANTS), variants)}"
+    titles = ("Mean over tasks", *SHORT_VARIANTS, "All, interval over tasks")
+    return f"{table(header, rows)}\n\n{table(titles, variants)}"
 
 
 def others(root: Path) -> Iterable[Path]:
@@ -73,45 +99,69 @@ def task_table(root: Path, name: str) -> str:
     return "\n\n".join(parts)
 
 
-def method_table(root: Path, name: str, beside: Mapping[str, str]) -> str:
+def method_table(root: Path, part: str) -> str:
     """Methods by variants: means over the tasks that all of them have been run on.
 
     Args:
         root: the repository.
-        name: of a plan, whose methods are all shown.
-        beside: methods of other plans, by the plan's name.
+        part: of a page, in `BESIDE`: all methods of its plan are shown, and those beside.
     """
-    shown = PlanResults.read(root, name)
+    shown = PlanResults.read(root, PLAN_OF.get(part, part))
     if not shown.collected:
         return NOTHING
     variants = shown.plan.get("variants", SHORT_VARIANTS)
-    rows: dict[str, tuple[Runs, PlanResults]] = {}
-    labels: dict[str, str] = {}
-    for plan, wanted in ((name, None), *beside.items()):
-        results = PlanResults.read(root, plan)
-        for method, entries in read_methods(root.glob(f"studies/*/results/{plan}")).items():
-            if wanted in (None, method):
-                rows[method] = _scores(entries), results
-                labels[method] = marked(method, entries)
-    tasks = [
-        task
-        for task in shown.plan["tasks"]
-        if all(np.isfinite(_means(runs, [task], ENDS[0])).any() for runs, _ in rows.values())
-    ]
+    rows, tasks = _beside(root, shown, BESIDE[part])
     published = [f"{variant}, published rule" for variant in ENDS]
     last = ("Gap", *published, "Minutes of training")
     header = (f"Mean over {task_names(tasks)}", *variants, *last)
     lines = [
         [
-            f"{labels[method]} ({_runs(_on(runs, tasks))})",
-            *(_over_tasks(runs, tasks, variant) for variant in variants),
-            _gap(runs, tasks),
-            *(_over_tasks(runs, tasks, variant, "published_code_score") for variant in ENDS),
+            f"{marked(method, entries)} ({_runs(_on(_scores(entries), tasks))})",
+            *(_over_tasks(_scores(entries), tasks, variant) for variant in variants),
+            _gap(_scores(entries), tasks),
+            *(_over_tasks(_scores(entries), tasks, v, "published_code_score") for v in ENDS),
             f"{results.training_minutes(tasks)[method]:.1f}",
         ]
-        for method, (runs, results) in rows.items()
+        for method, (entries, results) in rows.items()
     ]
     return table(header, lines)
+
+
+def difference_table(root: Path, part: str) -> str:
+    """The plan's first method less each of the others, by variant; arguments as `method_table`."""
+    shown = PlanResults.read(root, PLAN_OF.get(part, part))
+    if not shown.collected:
+        return NOTHING
+    rows, tasks = _beside(root, shown, BESIDE[part])
+    (first, (entries, _)), *others = rows.items()
+    runs = _scores(entries)
+    lines = [
+        [
+            marked(method, other),
+            *(_difference(runs, _scores(other), tasks, variant) for variant in SHORT_VARIANTS),
+        ]
+        for method, (other, _) in others
+    ]
+    return table((f"{marked(first, entries)} less", *SHORT_VARIANTS), lines)
+
+
+def _beside(
+    root: Path, shown: PlanResults, beside: Mapping[str, str]
+) -> tuple[Mapping[str, tuple[Sequence[Entry], PlanResults]], Sequence[str]]:
+    """The runs of a plan's methods and of those beside, and the tasks that all have been run on."""
+    rows: dict[str, tuple[Sequence[Entry], PlanResults]] = {}
+    for plan, wanted in ((shown.name, None), *beside.items()):
+        results = PlanResults.read(root, plan)
+        for method, entries in read_methods(root.glob(f"studies/*/results/{plan}")).items():
+            if wanted in (None, method):
+                rows[method] = entries, results
+    scores = [_scores(entries) for entries, _ in rows.values()]
+    tasks = [
+        task
+        for task in shown.plan["tasks"]
+        if all(np.isfinite(_means(runs, [task], ENDS[0])).any() for runs in scores)
+    ]
+    return rows, tasks
 
 
 def read_methods(folders: Iterable[Path]) -> Mapping[str, Sequence[Entry]]:
@@ -167,6 +217,21 @@ def _gap(runs: Runs, tasks: Sequence[str]) -> str:
     if _lacks_interval(scores, found):
         found = over_rollouts(runs, env_ids, gap_weights(env_ids))
     return signed(found) + over(found, "runs")
+
+
+def _difference(first: Runs, second: Runs, tasks: Sequence[str], variant: str) -> str:
+    """With Welch's interval over runs."""
+    ours, theirs = (_means(runs, tasks, variant) for runs in (first, second))
+    shared = ~(np.isnan(ours).all(axis=0) | np.isnan(theirs).all(axis=0))
+    ours, theirs = ours[:, shared], theirs[:, shared]
+    ours, theirs = (part[~np.isnan(part).all(axis=1)] for part in (ours, theirs))
+    return signed(difference(ours, theirs))
+
+
+def _across_tasks(runs: Runs, tasks: Sequence[str]) -> str:
+    """The mean on All with Student's t interval over tasks, each a mean over its runs."""
+    means = np.nanmean(_means(runs, tasks, ENDS[1]), axis=0)
+    return interval_text(mean(means[:, np.newaxis]))
 
 
 def _over_tasks(runs: Runs, tasks: Sequence[str], variant: str, rule: str = "score") -> str:
