@@ -34,7 +34,7 @@ from magical.tasks.programs import (
 
 MARGIN = 0.06  # units within a corner, wall zone or neighbourhood to aim for
 TOLERANCE = 0.06  # units
-PLANNED = Each | Every | OneOf | Undisturbed
+PLACED = Each | Every | OneOf  # goals that blocks are at places
 AROUND = MARGIN * np.array([(1, 0), (-1, 0), (0, 1), (0, -1)])  # (4, 2)
 
 
@@ -48,7 +48,7 @@ def program_planner(program: Goal) -> Planner:
 def is_planned(program: Goal) -> bool:
     """Whether there are moves for all goals of a program."""
     whole = isinstance(program, Clustered | Lined)
-    return whole or all(isinstance(goal, PLANNED) for goal in _goals(program))
+    return whole or all(isinstance(goal, PLACED | Undisturbed) for goal in _goals(program))
 
 
 def plan(program: Goal, view: StateView, strategy: Strategy, last: MovePlan) -> MovePlan:
@@ -87,7 +87,7 @@ def _moves(goal: Goal, view: StateView, strategy: Strategy) -> list[Move]:
     """Moves for one goal."""
     if isinstance(goal, Undisturbed):
         return _back(goal, view, strategy)
-    if not isinstance(goal, PLANNED):
+    if not isinstance(goal, PLACED):
         raise NoExpertError(f"no expert for {goal!r} in a program; register a planner of your own")
     blocks = sorted(goal.selection.blocks(view.scene))
     if isinstance(goal, OneOf) and any(_is_there(goal.place, view, i) for i in blocks):
