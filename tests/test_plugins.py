@@ -341,7 +341,7 @@ def test_tasks_experts_and_policies_of_a_distribution(installed: Installed) -> N
         assert "confirmed: " in installed.magical(f"verify {policy}")
 
 
-def test_an_algorithm_of_a_distribution_is_resumed_and_ranked(installed: Installed) -> None:
+def test_an_algorithm_of_a_distribution_is_resumed_and_listed(installed: Installed) -> None:
     pytest.importorskip("torch")
     installed.magical("demos generate --env magical/EmptyRegion-Demo-v0 -n 3 --out demos")
     installed.magical(
@@ -354,7 +354,8 @@ def test_an_algorithm_of_a_distribution_is_resumed_and_ranked(installed: Install
     # One process computes larger batches, in less than half the time.
     installed.magical("evaluate run --leaderboard --method Smooth --looks 0 --workers 0 --out run")
     board = installed.magical("leaderboard run").splitlines()
-    assert [line.split()[:2] for line in board if "Smooth" in line] == [["1", "Smooth"]]
+    (row,) = (line for line in board if "Smooth" in line)
+    assert row.startswith("not ranked: fewer than 3 runs")
 
 
 def test_an_algorithm_of_a_distribution_in_plans_and_reports(installed: Installed) -> None:

@@ -14,9 +14,10 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from magical.learning.objects.parser import PARSER_SOURCES, parse_frames
+from magical.learning.objects.parser import parse_frames
 from magical.learning.objects.table import ObjectTable, to_table
 from magical.observe.pixels import CHANNELS
+from magical.runs.sources import PARSER_SOURCES
 from magical.scene import Colour, Shape
 
 COLOURS, SHAPES = len(Colour), len(Shape)

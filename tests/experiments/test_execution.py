@@ -26,6 +26,7 @@ from magical.files import lock_now
 from magical.learning import load_policy, read_config
 from magical.learning.algorithms import bc
 from magical.learning.running import training
+from magical.plugins import import_user_module
 from magical.runs import versions
 from magical.runs.machine import machine
 from magical.runs.plan import read_listing
@@ -381,6 +382,7 @@ def test_a_task_of_a_module_is_known_in_the_processes_of_runs_and_references(
 ) -> None:
     (tmp_path / "task_for_a_plan.py").write_text(OUTSIDE)
     monkeypatch.syspath_prepend(tmp_path)
+    import_user_module("task_for_a_plan")
     changes = ('["MoveToRegion"]', '["task_for_a_plan:TASK"]'), ("seeds = [0, 1]", "seeds = [0]")
     try:
         runs = planned(*changes)

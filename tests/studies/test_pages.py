@@ -183,7 +183,7 @@ def test_a_change_is_shown_variant_by_variant(repository: Path) -> None:
     assert lines(made(repository), "variants", "scripted experts")[0][1:] == one
     write_run(repository, "bc-human", "BC (ST)", "MoveToCorner", 1, 0.5)
     write_run(repository, "bc-scripted", scripted, "MoveToCorner", 1, 0.76)
-    two = [cell and "**+0.25**<br>[+0.12, +0.38]" for cell in one]
+    two = [cell and "+0.25<br>[+0.12, +0.38]" for cell in one]
     assert [row[1:] for row in lines(made(repository), "variants", "")[2:]] == [two]
 
 

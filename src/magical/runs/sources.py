@@ -44,6 +44,10 @@ CLASSES: Mapping[str, str] = {
     "B": BENCHMARK_PRIOR,
 }
 
+# What learners that use the object parser declare. Its constants were fitted on scenes of TestAll,
+# and a part fitted on scenes of test variants is a prior made for the benchmark (docs/protocol.md).
+PARSER_SOURCES = (OBJECT_PARSER, BENCHMARK_PRIOR)
+
 
 def parse_source(name: str) -> str:
     """The name of a source, unchanged; raises `UnknownNameError` if it is not in `SOURCES`."""

@@ -33,7 +33,7 @@ from magical.learning.objects.data import (
 )
 from magical.learning.objects.goals import BORDER, CANDIDATES, REFITTED, GoalModel, goal_losses
 from magical.learning.objects.hindsight import ROBOT_TARGET
-from magical.learning.objects.parser import MAX_BLOCKS, PARSER_SOURCES
+from magical.learning.objects.parser import MAX_BLOCKS
 from magical.learning.objects.perception import PARSER, PERCEPTIONS, get_perception
 from magical.learning.objects.table import ObjectTable, to_table
 from magical.learning.running.averages import Averages
@@ -44,7 +44,7 @@ from magical.learning.running.run import Run
 from magical.learning.running.streams import Purpose, seeded_init, stream
 from magical.learning.settings import FRACTION, NOT_NEGATIVE, POSITIVE, option
 from magical.observe.pixels import CHANNELS, STACK
-from magical.runs.sources import BENCHMARK_PRIOR
+from magical.runs.sources import BENCHMARK_PRIOR, PARSER_SOURCES
 from magical.scene.actions import MIRRORED_ACTIONS
 from magical.tasks import get_task
 

@@ -44,12 +44,7 @@ from magical.learning.objects.components import (
     pixel_x,
     pixel_y,
 )
-from magical.runs.sources import BENCHMARK_PRIOR, OBJECT_PARSER
 from magical.scene.constants import FINGER_ROOT_X, FINGER_ROOT_Y, FRAME_SIZE, ROBOT_RADIUS, SIDES
-
-# What learners that use the parser declare. Its constants were fitted on scenes of TestAll, and a
-# part fitted on scenes of test variants is a prior made for the benchmark (docs/protocol.md).
-PARSER_SOURCES = (OBJECT_PARSER, BENCHMARK_PRIOR)
 
 MAX_BLOCKS = 10  # the most in any of the benchmark's tasks
 FAR = 9.0  # units: the coordinates of absent blocks
