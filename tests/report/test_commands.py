@@ -1,4 +1,4 @@
-"""`magical report`, `leaderboard` and `gallery`: what is checked before the work, and failures."""
+"""`magical report` and `leaderboard`: what is checked before the work, and failures."""
 
 import json
 from pathlib import Path
@@ -64,7 +64,6 @@ def test_a_comparison_takes_no_options_of_the_page(capsys: pytest.CaptureFixture
 @pytest.mark.parametrize(
     "argv",
     [
-        ["gallery", "--out", "site"],
         ["report", "a", "--out", "page.html"],
         ["report", "a", "--compare", "x", "y", "--out", "page.html"],
         ["leaderboard", "a", "--out", "site"],

@@ -4,5 +4,5 @@
 - `scores`: tables, aggregates with intervals, differences from the published rows
 - `figures`: plots, learning curves, rollouts as animations
 - `pages`: the results page, the comparison of two methods, exported tables
-- `leaderboard` and `gallery`: static sites
+- `leaderboard`: a static site
 """
