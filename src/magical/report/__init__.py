@@ -3,6 +3,6 @@
 - `found`: evaluated runs in folders, which scores are missing, how each run was made
 - `scores`: tables, aggregates with intervals, differences from the published rows
 - `figures`: plots, learning curves, rollouts as animations
-- `pages`: the results page, the comparison of two methods, exported tables
+- `pages`: the results page, exported tables
 - `leaderboard`: a static site
 """

@@ -60,7 +60,7 @@ def test_the_report_command_prints_tables_and_writes_a_page(
     text = page.read_text()
     assert "demonstrations 10" in text
     assert "BC (ST), published" in text
-    for heading in ("Learning curves", "rollouts</h2>", "Probability of improvement"):
+    for heading in ("Learning curves", "rollouts</h2>", "Generalisation gaps"):
         assert heading not in text  # empty parts
 
 
@@ -119,8 +119,7 @@ def test_the_report_of_a_folder_says_everything(
         "1 of 2 runs",
         "not evaluated on Jitter, Layout, Colour, Dynamics",
         "Generalisation gaps",
-        "Probability of improvement",
-        'aria-label="Performance profiles of all methods"',
+        'aria-label="interquartile mean"',
         'aria-label="Learning curves: loss on MoveToRegion"',
         "$b_1日本 on MoveToRegion",
         "&lt;a&gt; on MoveToRegion: ",  # its run folder has no checkpoint

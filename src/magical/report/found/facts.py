@@ -40,13 +40,7 @@ class MethodFacts:
 
 def describe_methods(results: Iterable[Result], page: Path | None = None) -> list[MethodFacts]:
     """How each method's runs were made; if the page's path is given, with links to their files."""
-    return describe_rows(by_row(results, attrgetter("entry")), page)
-
-
-def describe_rows(
-    rows: Mapping[str, Sequence[Result]], page: Path | None = None
-) -> list[MethodFacts]:
-    """As `describe_methods`, for rows given by their labels."""
+    rows = by_row(results, attrgetter("entry"))
     return [_describe(label, runs, page) for label, runs in rows.items()]
 
 

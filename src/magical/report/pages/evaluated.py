@@ -6,20 +6,14 @@ from pathlib import Path
 from magical import __version__
 from magical.evaluation import Entry
 from magical.report.figures.curves import curves_by_task
-from magical.report.figures.plots import interval_plot, profile_plot
+from magical.report.figures.plots import interval_plot
 from magical.report.figures.reels import LoadPolicy, Reel, record_reels
 from magical.report.found.facts import describe_methods
 from magical.report.found.missing import find_missing
 from magical.report.found.search import Found
 from magical.report.pages.page import Figure, render_template, write_text
 from magical.report.scores.methods import ComparedMethod, compared_methods
-from magical.report.scores.summaries import (
-    THRESHOLDS,
-    aggregate_table,
-    gap_table,
-    improvement_table,
-    profiles,
-)
+from magical.report.scores.summaries import aggregate_table, gap_table
 from magical.report.scores.tables import DARKEST, LIGHTEST, TextTable, report_tables
 from magical.tasks.axes import CHANGED, short_variant
 
@@ -86,7 +80,6 @@ def _html(
         aggregate=aggregate_table(methods, found.entries) if methods else None,
         aggregate_figures=_figures(methods) if methods else (),
         gaps=gap_table(methods) if methods else None,
-        improvement=improvement_table(methods) if methods else None,
         curves=curves,
         extremes=reels,
         clip_notes=notes,
@@ -131,11 +124,6 @@ def _figures(methods: Sequence[ComparedMethod]) -> list[Figure]:
             interval_plot(iqm, "interquartile mean", "iqm"),
             "Interquartile mean: the mean of the middle half of all runs' scores, with 95% "
             "intervals over runs.",
-        ),
-        Figure(
-            profile_plot(THRESHOLDS, profiles(methods)),
-            "Performance profiles: the share of runs, averaged over environments, that score above "
-            "τ; higher is better. Shaded: pointwise 95% intervals over runs.",
         ),
     ]
 

@@ -20,7 +20,7 @@ from magical.report.found.statements import LOOKS, class_of
 from magical.report.pages.page import write_text
 from magical.report.scores.differences import RULE, counterparts, differences
 from magical.report.scores.methods import compared_methods, make_method
-from magical.report.scores.summaries import aggregate_table, gap_table, improvement_table
+from magical.report.scores.summaries import aggregate_table, gap_table
 from magical.report.scores.tables import TextTable, entry_tasks, report_tables, rows_on
 from magical.tasks import get_task
 from magical.tasks.axes import full_variant
@@ -34,10 +34,8 @@ def all_tables(found: Found, published: Sequence[str]) -> list[TextTable]:
     entries = found.entries
     tables = [table.as_text() for table in report_tables(entries, published)]
     if methods := compared_methods(entries):
-        improvement = improvement_table(methods)
         tables.append(aggregate_table(methods, entries))
         tables += [gaps] if (gaps := gap_table(methods)) else []
-        tables += [improvement.as_text()] if improvement else []
     return tables
 
 
