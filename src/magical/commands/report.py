@@ -39,8 +39,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_out(parser, "file to write the page to, or the tables in another --format", "FILE")
     parser.add_argument(
         "--format",
-        choices=("html", "csv", "markdown", "latex"),
-        help="format of FILE (default: by its suffix, .html, .csv, .md or .tex)",
+        choices=("html", "csv", "markdown"),
+        help="format of FILE (default: by its suffix, .html, .csv or .md)",
     )
     add_count(
         parser,
