@@ -8,7 +8,6 @@ from magical.evaluation import Entry
 from magical.report.figures.curves import curves_by_task
 from magical.report.figures.plots import interval_plot
 from magical.report.figures.reels import LoadPolicy, Reel, record_reels
-from magical.report.found.facts import describe_methods
 from magical.report.found.missing import find_missing
 from magical.report.found.search import Found
 from magical.report.pages.page import Figure, render_template, write_text
@@ -30,7 +29,7 @@ def write_page(
 ) -> Sequence[str]:
     """Write a page with all results of evaluated runs and their training, and what is missing.
 
-    Everything is in this one file, with links to the runs' files; empty sections are left out.
+    Everything is in this one file; empty sections are left out.
 
     Args:
         path: the page to write.
@@ -50,7 +49,7 @@ def write_page(
     reels, notes = (
         record_reels(found.results, load_policy, clips) if load_policy and clips else ([], [])
     )
-    write_text(path, _html(title, found, published, path, reels, notes, conclusions))
+    write_text(path, _html(title, found, published, reels, notes, conclusions))
     return () if reels else notes
 
 
@@ -58,7 +57,6 @@ def _html(
     title: str,
     found: Found,
     published: Sequence[str],
-    path: Path,
     reels: Sequence[Reel],
     notes: Sequence[str],
     conclusions: Sequence[str],
@@ -86,7 +84,6 @@ def _html(
         missing=_missing(found),
         skipped=_skipped(skipped),
         version=__version__,
-        methods=describe_methods(found.results, path),
     )
 
 
