@@ -106,8 +106,6 @@ def test_the_report_of_a_folder_says_everything(
         "3 evaluated runs of 2 methods; 2 skipped",
         "expected the header",
         "expected JSON, found something else",
-        "1 of 2 runs",
-        "not evaluated on Jitter, Layout, Colour, Dynamics",
         "Generalisation gaps",
         'aria-label="interquartile mean"',
         'aria-label="Learning curves: loss on MoveToRegion"',

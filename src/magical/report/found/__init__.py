@@ -1,1 +1,1 @@
-"""Evaluated runs in folders, and which scores are missing."""
+"""Evaluated runs in folders."""

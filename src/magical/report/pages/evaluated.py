@@ -8,7 +8,6 @@ from magical.evaluation import Entry
 from magical.report.figures.curves import curves_by_task
 from magical.report.figures.plots import interval_plot
 from magical.report.figures.reels import LoadPolicy, Reel, record_reels
-from magical.report.found.missing import find_missing
 from magical.report.found.search import Found
 from magical.report.pages.page import Figure, render_template, write_text
 from magical.report.scores.methods import ComparedMethod, compared_methods
@@ -27,7 +26,7 @@ def write_page(
     clips: int = 0,
     conclusions: Sequence[str] = (),
 ) -> Sequence[str]:
-    """Write a page with all results of evaluated runs and their training, and what is missing.
+    """Write a page with all results of evaluated runs and their training.
 
     Everything is in this one file; empty sections are left out.
 
@@ -81,7 +80,6 @@ def _html(
         curves=curves,
         extremes=reels,
         clip_notes=notes,
-        missing=_missing(found),
         skipped=_skipped(skipped),
         version=__version__,
     )
@@ -123,17 +121,6 @@ def _figures(methods: Sequence[ComparedMethod]) -> list[Figure]:
             "intervals over runs.",
         ),
     ]
-
-
-def _missing(found: Found) -> TextTable | None:
-    note = (
-        "Every method is expected to have runs on each task that another method has, as many and "
-        "with the same seeds, evaluated on all variants."
-        if found.planned is None
-        else "Runs of the plan without scores, and variants that runs were not evaluated on."
-    )
-    rows = find_missing(found)
-    return TextTable("Scores", ("method", "task", "missing"), rows, note) if rows else None
 
 
 def _skipped(rows: Sequence[tuple[str, str]]) -> TextTable | None:
