@@ -56,7 +56,6 @@ def test_every_command_explains_itself(name: str, capsys: pytest.CaptureFixture[
     [
         ("evaluate random --variants Demo --variants Jitter Colour", "variants", 3),
         ("evaluate random --learned-from score --learned-from interaction", "learned_from", 2),
-        ("expert evaluate --env A --env B", "env", 2),
         ("demos generate --out demos --env A B --env C", "env", 3),
         ("demos video demos --out x.mp4 --index 0 --index 1 2", "index", 3),
         ("report runs --published A --published B", "published", 2),

@@ -113,7 +113,6 @@ def keys(value: object) -> set[str]:
         "envs",
         "show magical/MoveToRegion-Demo-v0",
         "evaluate noop --task MoveToRegion --variants Demo --rollouts 1 --workers 0",
-        "expert evaluate --env magical/MoveToRegion-Demo-v0 --rollouts 1 --workers 0",
         "demos generate --env magical/MoveToRegion-Demo-v0 -n 1 --out demos",
     ],
 )

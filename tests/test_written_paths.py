@@ -36,7 +36,6 @@ COMMANDS = {  # the command, what it needs, what it writes below --out
     "evaluate": (f"evaluate noop {EVALUATED}", "", "entry.json"),
     "report": ("report {in}/entry", "jinja2 matplotlib", ".html"),
     "leaderboard": ("leaderboard {in}/entry", "jinja2 matplotlib", "index.html"),
-    "gallery": ("gallery --task MoveToRegion", "jinja2", "index.html"),
     "show": (f"show {ENV}", "", ".png"),
     "train": (f"train bc {TRAINED} --demos {{in}}/demos", "torch", "config.json"),
     "run": ("run {in}/plan.toml --demos {in}/demos --workers 1", "torch", "plan.json"),

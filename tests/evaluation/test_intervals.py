@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 import pytest
-import scipy.stats
 
 from magical.evaluation import statistics as stats
 from magical.evaluation.intervals import Floats, Interval, rollout_mean, weighted_sum
@@ -98,11 +97,9 @@ def test_intervals_over_runs_cover(widths: list[int], runs: int, least: float) -
 @pytest.mark.parametrize("widths", DESIGNS.values(), ids=DESIGNS)
 def test_comparisons_of_two_methods_cover(widths: list[int], gain: float) -> None:
     rng = np.random.default_rng(0)
-    better = scipy.stats.norm.cdf(gain / math.sqrt(2 * (RUN_EFFECT**2 + RESIDUAL**2)))
     covered = []
     for _ in range(200):
         first, second = simulate(widths, 5, 0.4 + gain, rng), simulate(widths, 5, 0.4, rng)
         _, low, high = stats.difference(first, second)
-        _, least, most = stats.probability_of_improvement(first, second)
-        covered.append([low <= gain <= high, least <= better <= most])
-    assert np.mean(covered, axis=0).min() >= 0.88
+        covered.append(low <= gain <= high)
+    assert np.mean(covered) >= 0.88

@@ -82,9 +82,9 @@ def test_mean_has_student_s_interval_over_runs(
 
 def test_environments_count_alike_and_one_run_has_no_interval() -> None:
     assert stats.mean([*ONE_TASK, [NAN, 0.7], [NAN, 0.9]]).value == pytest.approx((0.4 + 0.8) / 2)
-    for statistic in (stats.mean, stats.interquartile_mean, stats.optimality_gap):
+    for statistic in (stats.mean, stats.interquartile_mean):
         value, low, high = statistic([[0.4, 0.4]])
-        assert value == pytest.approx(0.6 if statistic is stats.optimality_gap else 0.4)
+        assert value == pytest.approx(0.4)
         assert math.isnan(low)
         assert math.isnan(high)
 
@@ -95,7 +95,7 @@ def test_mean_agrees_with_scipy() -> None:
     assert stats.mean(scores, confidence=0.9)[1:] == pytest.approx(tuple(result))
 
 
-# Interquartile mean and optimality gap.
+# The interquartile mean.
 
 
 def test_interquartile_mean_leaves_out_a_quarter_at_either_end() -> None:
@@ -114,11 +114,6 @@ def test_interquartile_mean_rounds_the_quarter_down_and_pools_environments() -> 
     scores = np.random.default_rng(0).random((5, 7))
     trimmed = scipy.stats.trim_mean(scores, proportiontocut=0.25, axis=None)
     assert stats.interquartile_mean(scores).value == pytest.approx(trimmed)
-
-
-def test_optimality_gap_counts_only_what_is_missing() -> None:
-    scores = np.array([[0.2, 0.9], [1.0, 0.6]])
-    assert stats.optimality_gap(scores).value == pytest.approx((0.8 + 0.1 + 0.0 + 0.4) / 4)
 
 
 # The generalisation gap.
@@ -174,55 +169,7 @@ def test_difference_has_welch_s_interval() -> None:
     assert stats.difference(first, second)[1:] == pytest.approx(interval)
 
 
-@pytest.mark.parametrize(
-    ("first", "second", "expected"),
-    [
-        # 1.0 beats all three; 0.5 beats one and ties with two.
-        ([[1.0], [0.5]], [[0.5], [0.0], [0.5]], (3 + 1 + 1) / 6),
-        ([[0.54]], [[0.5399999999999999]], 0.5),  # rounding does not break a tie
-        ([[1.0, 0.0]], [[0.0, 1.0]], 0.5),  # environments count alike
-    ],
-)
-def test_probability_of_improvement_counts_ties_half(
-    first: list[list[float]], second: list[list[float]], expected: float
-) -> None:
-    assert stats.probability_of_improvement(first, second).value == pytest.approx(expected)
-
-
-# Wilson's interval for 10 of 10 and for 5 of 5.
-TEN, FIVE = (1.0, 0.722467, 1.0), (1.0, 0.565518, 1.0)
-
-
-def test_probability_of_improvement_is_worth_the_runs_of_the_method_with_fewer() -> None:
-    found = stats.probability_of_improvement(np.full((10, 3), 0.9), np.full((12, 3), 0.1))
-    assert found == approximately(Interval(*TEN))
-
-
-def test_strata_add_up_in_the_probability_of_improvement() -> None:
-    single = [[0.9, NAN]] * 5 + [[NAN, 0.9]] * 5
-    multi, other = [[0.1, 0.1]] * 5, [[0.1, NAN]] * 5 + [[NAN, 0.1]] * 5
-    assert stats.probability_of_improvement(single, other) == approximately(Interval(*TEN))
-    # A multi-task run is in the comparisons of both environments.
-    assert stats.probability_of_improvement(single, multi) == approximately(Interval(*FIVE))
-    # The environment with fewer runs decides: two runs for half of the value.
-    fewer = stats.probability_of_improvement([*single[:2], *single[5:]], other)
-    assert fewer.low == pytest.approx(4 / (4 + 1.959964**2))
-
-
 # Over rollouts.
-
-
-def test_a_performance_profile_is_the_share_of_runs_above_each_threshold() -> None:
-    scores = [[0.0, 0.5], [0.5, 1.0], [1.0, 1.0]]
-    at = stats.performance_profile(scores, [0.0, 0.5, 0.9, 1.0])
-    # Above 0: 2 of 3 runs and 3 of 3; above 0.5: 1 and 2; above 0.9 the same; above 1 none.
-    assert [interval.value for interval in at] == pytest.approx([5 / 6, 1 / 2, 1 / 2, 0.0])
-    assert at[1] == pytest.approx((0.5, 0.1253, 0.8747), abs=1e-4)  # Wilson's of three runs
-    assert at[3].high > 0.5  # three runs below 1 do not exclude one above
-    # What was not evaluated is left out; the second environment has one run.
-    (interval,) = stats.performance_profile([[0.2, NAN], [0.6, NAN], [NAN, 0.9]], [0.5])
-    assert interval.value == pytest.approx((1 / 2 + 1) / 2)
-    assert math.isnan(interval.low)
 
 
 def test_over_rollouts_is_the_weighted_sum_of_environments() -> None:

@@ -1,4 +1,4 @@
-"""`magical report`, `leaderboard` and `gallery`: what is checked before the work, and failures."""
+"""`magical report` and `leaderboard`: what is checked before the work, and failures."""
 
 import json
 from pathlib import Path
@@ -47,26 +47,12 @@ def test_the_last_line_is_json(
     assert mine["score_low"] < 0.5 < mine["score_high"]
     assert mine["score_std"] is None
     assert other["score"] == 0.0
-    assert cli.main(["report", *runs, "--compare", "mine", "other", "--json"]) == 0
-    printed = json.loads(capsys.readouterr().out.splitlines()[-1])
-    assert printed["compare"] == ["mine", "other"]
-    value, low, high = printed["differences"]["all"]
-    assert value == 0.5
-    assert low < value < high
-
-
-def test_a_comparison_takes_no_options_of_the_page(capsys: pytest.CaptureFixture[str]) -> None:
-    for options in (["--title", "T"], ["--published", "BC (ST)"]):
-        assert cli.main(["report", "a", "--compare", "x", "y", *options]) == 2
-        assert "--compare excludes --title and --published" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
     "argv",
     [
-        ["gallery", "--out", "site"],
         ["report", "a", "--out", "page.html"],
-        ["report", "a", "--compare", "x", "y", "--out", "page.html"],
         ["leaderboard", "a", "--out", "site"],
     ],
 )

@@ -107,7 +107,6 @@ def test_following_the_advice_shows_the_published_rows(
     lines = [line.split("  ")[0] for line in out.splitlines() if line.startswith(BC)]
     assert lines[:2] == [BC, f"{BC}, horizon 240"]  # by the appendix's rule
     assert lines[2:4] == [f"{BC}, horizon 240", f"{BC}, published"]
-    assert cli.main([*report, "--compare", BC, f"{BC}, horizon 240"]) == 0
 
 
 def test_the_newer_of_two_evaluations_of_a_run_counts(

@@ -10,14 +10,14 @@ from magical.compiled.cache import digest_of
 from magical.envs import all_env_ids, parse_env_id
 from magical.evaluation import by_variant, published_methods, published_score, published_tasks
 from magical.report.found.search import Result
-from magical.report.gallery.descriptions import Paragraph, describe_changes, describe_task
-from magical.report.gallery.previews import SIZE, EnvPreview, make_previews
 from magical.report.leaderboard import Leaderboard
 from magical.report.leaderboard.ranking import WITH_PRIOR
 from magical.scene.constants import CONTROL_RATE
 from magical.tasks import TASKS, VARIANTS, Task
 from magical.tasks.axes import short_variant
 from tools.readme_tables import table
+from tools.site.descriptions import Paragraph, describe_changes, describe_task
+from tools.site.previews import SIZE, EnvPreview, make_previews
 
 FOLDER = "environments"
 EXPERT = "expert"
@@ -79,7 +79,8 @@ def navigation() -> list[dict[str, object]]:
 
 def previews(root: Path, cache: Path) -> Path:
     """The folder with the pictures of every environment, made again if the code has changed."""
-    folder = cache / digest_of(*(root / "src/magical" / room for room in ROOMS))[:16]
+    rooms = (root / "src/magical" / room for room in ROOMS)
+    folder = cache / digest_of(root / "tools/site", *rooms)[:16]
     if not (folder / "complete").exists():
         folder.mkdir(parents=True, exist_ok=True)
         for preview in make_previews([*map(parse_env_id, all_env_ids())]):
@@ -90,9 +91,8 @@ def previews(root: Path, cache: Path) -> Path:
 
 def _keep(preview: EnvPreview, folder: Path) -> None:
     (folder / f"{preview.name}{STILL}").write_bytes(preview.still)
-    (folder / f"{preview.name}{MOVING}").write_bytes(preview.animation or preview.still)
-    score = "" if preview.score is None else f"{preview.score:.2f}"
-    (folder / f"{preview.name}.txt").write_text(f"{preview.scene}\n{score}")
+    (folder / f"{preview.name}{MOVING}").write_bytes(preview.animation)
+    (folder / f"{preview.name}.txt").write_text(f"{preview.scene}\n{preview.score:.2f}")
 
 
 def index() -> str:
@@ -151,7 +151,6 @@ def environment_page(task: Task, variant: str, rows: Sequence[Row], kept: str) -
     name = f"{task.name}-{variant}"
     scene, score = kept.split("\n")
     changes = describe_changes(task, variant)
-    reached = f" It scores {score} here." if score else ""
     scores = table(
         ("Method", "Score"),
         (
@@ -163,7 +162,8 @@ def environment_page(task: Task, variant: str, rows: Sequence[Row], kept: str) -
     return (
         f"# {name}\n\n{task.summary}\n\n"
         f"{picture(variant, f'The expert in {name}: {scene}')}\n\n"
-        f"The scene of `reset(seed=0)` ({scene}), solved by the scripted expert.{reached}\n\n"
+        f"The scene of `reset(seed=0)` ({scene}), attempted by the scripted expert, "
+        f"which scores {score} here.\n\n"
         "```python\nimport gymnasium\nimport magical\n\n"
         f'env = gymnasium.make("magical/{name}-v0")\n```\n\n'
         f"**What varies**: {changes}\n\n"

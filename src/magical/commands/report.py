@@ -5,9 +5,9 @@ at any depth. Folders with the same method are its runs and share a row.
 """
 
 import argparse
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from magical.commands._common import (
     UsageError,
@@ -16,14 +16,12 @@ from magical.commands._common import (
     add_out,
     add_several,
     log,
-    plain_interval,
     print_json,
     print_table,
 )
 
 if TYPE_CHECKING:
     from magical.report.found.search import Found
-    from magical.report.scores.tables import TextTable
 
 HELP = "make a page of tables from evaluated runs"
 TITLE = "MAGICAL: results"
@@ -41,14 +39,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_out(parser, "file to write the page to, or the tables in another --format", "FILE")
     parser.add_argument(
         "--format",
-        choices=("html", "csv", "markdown", "latex"),
-        help="format of FILE (default: by its suffix, .html, .csv, .md or .tex)",
-    )
-    parser.add_argument(
-        "--compare",
-        nargs=2,
-        metavar=("A", "B"),
-        help="show the difference between two methods instead",
+        choices=("html", "csv", "markdown"),
+        help="format of FILE (default: by its suffix, .html, .csv or .md)",
     )
     add_count(
         parser,
@@ -68,41 +60,14 @@ def run(args: argparse.Namespace) -> int:
     if args.format and not args.out:
         raise UsageError("--format needs --out FILE")
     kind = args.format or format_of(args.out) if args.out else None
-    if args.compare and kind not in (None, "html"):
-        raise UsageError("--compare writes HTML only; use --out FILE.html")
-    if args.compare and (args.title or args.published is not None):
-        raise UsageError("--compare excludes --title and --published")
-    if args.clips and (args.compare or kind != "html"):
-        raise UsageError("--clips needs a page (--out FILE.html), and excludes --compare")
+    if args.clips and kind != "html":
+        raise UsageError("--clips needs a page (--out FILE.html)")
     if kind == "html":
         require("report")
     found = find_results(args.folders)
     for item in found.skipped:
         log(f"skipped {item.folder}: {item.reason}")
-    return _compare(args, found) if args.compare else _tabulate(args, found, kind)
-
-
-def _compare(args: argparse.Namespace, found: "Found") -> int:
-    from magical.report.pages.comparison import compare
-
-    comparison = compare(found.results, *args.compare)
-    _print_tables(comparison.tables)
-    if args.out:
-        comparison.write(args.out)
-        log(f"wrote {args.out}")
-    differences = {name: plain_interval(interval) for name, interval in comparison.overall.items()}
-    print_json(args, {"compare": args.compare, "differences": differences, **_skipped(found)})
-    return 0
-
-
-def _skipped(found: "Found") -> dict[str, Any]:
-    return {"skipped": [{"folder": str(s.folder), "reason": s.reason} for s in found.skipped]}
-
-
-def _print_tables(tables: "Iterable[TextTable]") -> None:
-    for table in tables:
-        print_table(table.header, table.rows)
-        print(f"{table.note}\n")
+    return _tabulate(args, found, kind)
 
 
 def _tabulate(args: argparse.Namespace, found: "Found", kind: str | None) -> int:
@@ -111,7 +76,9 @@ def _tabulate(args: argparse.Namespace, found: "Found", kind: str | None) -> int
     from magical.report.scores.differences import matching_methods
 
     published = tuple(matching_methods(found.entries) if args.published is None else args.published)
-    _print_tables(all_tables(found, published))
+    for table in all_tables(found, published):
+        print_table(table.header, table.rows)
+        print(f"{table.note}\n")
     notes: Sequence[str] = ()
     if kind and kind in FORMATS:
         FORMATS[kind](found, published, args.out)
@@ -131,5 +98,6 @@ def _tabulate(args: argparse.Namespace, found: "Found", kind: str | None) -> int
         log(f"wrote {args.out}")
     for note in notes:
         log(f"error: no rollouts of {note}")
-    print_json(args, {"rows": plain_rows(found, published), **_skipped(found)})
+    skipped = [{"folder": str(item.folder), "reason": item.reason} for item in found.skipped]
+    print_json(args, {"rows": plain_rows(found, published), "skipped": skipped})
     return int(bool(notes))

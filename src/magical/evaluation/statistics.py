@@ -30,7 +30,6 @@ from magical.evaluation.intervals import (
     t_interval,
     weighted_sum,
     welch_interval,
-    wilson_interval,
 )
 from magical.evaluation.scores import RolloutScore
 from magical.grouping import group_by
@@ -159,11 +158,6 @@ def interquartile_mean(scores: ArrayLike, confidence: float = CONFIDENCE) -> Int
     return _with_width(found)
 
 
-def optimality_gap(scores: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
-    """How far scores fall short of 1 on average; arguments and errors as for `mean`."""
-    return mean(1.0 - _table(scores), confidence)
-
-
 def generalisation_gap(
     scores: ArrayLike,
     env_ids: Sequence[str],
@@ -245,52 +239,6 @@ def contrast(
     return _with_width(t_interval(value, strata, confidence, bounds))
 
 
-def probability_of_improvement(
-    first: ArrayLike, second: ArrayLike, confidence: float = CONFIDENCE
-) -> Interval:
-    """The probability that a run of `first` beats one of `second`, averaged over environments.
-
-    Ties count half, as in rliable. The interval is Wilson's for as many independent comparisons as
-    the method with fewer runs has runs: the average over all pairs varies no more than that over
-    comparisons without a run in common (Hoeffding, 1963, section 5). If no run is in two strata,
-    each stratum's number is multiplied by all environments / its environments; the least of them
-    counts. Arguments and errors as for `difference`.
-    """
-    a, b = _tables([first, second])
-    won = [_share_won(x[~np.isnan(x)], y[~np.isnan(y)]) for x, y in zip(a.T, b.T, strict=True)]
-    value = float(np.mean(won))
-    return wilson_interval(value, _comparisons(a, b), confidence)
-
-
-def performance_profile(
-    scores: ArrayLike, thresholds: ArrayLike, confidence: float = CONFIDENCE
-) -> list[Interval]:
-    """The share of runs that score above each threshold, averaged over environments.
-
-    The run-score distribution of Agarwal et al. (2021), section 4.1; equal to theirs if all
-    environments have the same number of runs. The intervals are Wilson's, as for
-    `probability_of_improvement`: a share varies no more than that of as many independent runs. Each
-    holds for its threshold (they are not a band that holds for all at once); they are NaN if an
-    environment has a single run.
-
-    Args:
-        scores: (runs, environments), see the module's docstring.
-        thresholds: (T,), in units of scores.
-        confidence: nominal coverage of each interval.
-
-    Raises:
-        ValueError: as for `mean`.
-    """
-    table = _table(scores)
-    runs = (~np.isnan(table)).sum(axis=0)
-    limits = np.asarray(thresholds, np.float64)
-    shares = [float(np.mean((table > limit).sum(axis=0) / runs)) for limit in limits]
-    if runs.min() < 2:
-        return [Interval(share, np.nan, np.nan) for share in shares]
-    independent = _comparisons(table, table)
-    return [wilson_interval(share, independent, confidence) for share in shares]
-
-
 def _table(scores: ArrayLike) -> Floats:
     table = np.asarray(scores, np.float64)
     if table.ndim != 2 or not table.size:
@@ -341,19 +289,3 @@ def _by_stratum(table: Floats, contributions: Floats) -> list[Floats]:
     """The contributions of each stratum's runs: of the rows with NaN in the same columns."""
     strata = group_by(range(len(table)), lambda run: np.isnan(table[run]).tobytes())
     return [contributions[runs] for runs in strata.values()]
-
-
-def _share_won(first: Floats, second: Floats) -> float:
-    differences = first[:, None] - second  # (n, m)
-    signs = np.sign(np.where(np.abs(differences) < ROUNDING, 0.0, differences))
-    return float((signs.mean() + 1.0) / 2.0)
-
-
-def _comparisons(first: Floats, second: Floats) -> float:
-    """A lower bound on the independent comparisons that the probability of improvement is worth."""
-    evaluated = ~np.isnan(np.concatenate([first, second]))  # (runs of both, environments)
-    strata, sizes = np.unique(evaluated, axis=1, return_counts=True)  # columns with the same runs
-    split = len(first)
-    fewest = np.minimum(strata[:split].sum(axis=0), strata[split:].sum(axis=0))  # (strata,)
-    independent = strata.sum(axis=1).max() == 1  # no run is in two strata
-    return float((fewest * sizes.sum() / sizes).min() if independent else fewest.min())

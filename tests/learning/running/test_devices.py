@@ -1,6 +1,5 @@
 """Device, precision and threads: the configuration and the processor decide, never the load."""
 
-import json
 import threading
 from pathlib import Path
 from typing import Any
@@ -8,7 +7,6 @@ from typing import Any
 import pytest
 import torch
 
-from magical import cli
 from magical.errors import DeviceError
 from magical.evaluation import evaluate
 from magical.learning import algorithm_names, find_algorithm, train
@@ -104,21 +102,6 @@ def test_every_way_is_measured() -> None:
         (precision, threads) for precision in ("float32", "bfloat16") for threads in (1, 2)
     }
     assert all(speed > 0 for speed in speeds.values())
-
-
-def test_the_command_recommends(capsys: pytest.CaptureFixture[str]) -> None:
-    command = ["bench", "training", "--network", "light", "--batch-size", "2", "--device", "cpu"]
-    assert cli.main([*command, "--json"]) == 0
-    *lines, last = capsys.readouterr().out.splitlines()
-    result = json.loads(last)
-    best = max(result["ways"], key=lambda way: way["samples_per_second"])
-    expected = f"magical train ... --precision {best['precision']} --threads {best['threads']}"
-    assert f"fastest: {expected}" in lines
-
-
-def test_an_unknown_network_is_wrong_usage(capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["bench", "training", "--network", "huge"]) == 2
-    assert "network 'huge' is unknown" in capsys.readouterr().err
 
 
 def float32_precisions() -> list[str]:

@@ -1,4 +1,4 @@
-"""Evaluated runs in folders, and what is missing among them."""
+"""Evaluated runs in folders, and which runs of a plan have no scores."""
 
 import json
 from pathlib import Path
@@ -10,7 +10,6 @@ from magical.errors import ScoresError
 from magical.evaluation import read_entry
 from magical.evaluation.collection import write_collection
 from magical.report.found import search
-from magical.report.found.missing import find_missing
 from magical.report.found.search import find_results, search_results
 from magical.report.pages.evaluated import write_page
 from magical.runs.folder import write_json
@@ -106,28 +105,6 @@ def test_nothing_but_damaged_entries_is_an_error(write_entry: WriteEntry, tmp_pa
         find_results([tmp_path / "missing"])
 
 
-def test_missing_tasks_runs_seeds_and_variants_are_named(
-    write_entry: WriteEntry, tmp_path: Path
-) -> None:
-    write_entry("a0", "a", REGION, seed=0)
-    write_entry("a1", "a", dict([*REGION.items()][:3]), seed=1)
-    write_entry("b0", "b", REGION, seed=0)
-    write_entry("c0", "c", {"MakeLine-Demo": [1.0]}, seed=0)
-    write_entry("c1", "c", {"MakeLine-Demo": [0.5]}, seed=1)
-    write_json(tmp_path / "d0" / "config.json", {"seed": 0})
-    missing = set(find_missing(find_results([tmp_path])))
-    variants = "Jitter, Layout, Colour, Shape, CountPlus, Dynamics, All"
-    assert missing == {
-        ("a", "MoveToRegion", "seed 1: not evaluated on Colour, Dynamics, All"),
-        ("b", "MoveToRegion", "1 of 2 runs: no seed 1"),
-        ("c", "MoveToRegion", "no run"),
-        ("a", "MakeLine", "no run"),
-        ("b", "MakeLine", "no run"),
-        ("c", "MakeLine", f"seeds 0, 1: not evaluated on {variants}"),
-        ("–", "–", f"{tmp_path / 'd0'}: a training run without an entry"),
-    }
-
-
 def test_a_run_that_a_collection_has_too_counts_once(
     write_entry: WriteEntry, tmp_path: Path
 ) -> None:
@@ -170,10 +147,11 @@ def test_a_plan_says_which_runs_are_missing(write_entry: WriteEntry, tmp_path: P
     found = find_results([tmp_path])
     assert [result.folder.name for result in found.results] == ["done"]
     assert [item.folder.name for item in found.skipped] == ["earlier"]
-    assert find_missing(found) == [
-        ("a", "MoveToRegion", "seed 1: failed: oh"),
-        ("a", "MoveToRegion", "seed 2: not finished"),
-        ("a", "MoveToRegion", "seed 3: not run"),
+    assert found.planned is not None
+    assert [(run.method, run.tasks, run.seed, why) for run, why in found.planned] == [
+        ("a", ("MoveToRegion",), 1, "failed: oh"),
+        ("a", ("MoveToRegion",), 2, "not finished"),
+        ("a", ("MoveToRegion",), 3, "not run"),
     ]
 
 
@@ -185,8 +163,9 @@ def test_a_plan_that_lists_what_is_no_folder_name_is_used_without_it(
     write_plan(tmp_path, "done", name, task="MoveToRegion")
     found = find_results([tmp_path])
     assert [result.folder.name for result in found.results] == ["done"]
-    (missing,) = find_missing(found)
-    assert missing[2].startswith("seed 1: damaged: plan.json lists it in")
+    assert found.planned is not None
+    ((run, why),) = found.planned
+    assert (run.seed, why.startswith("damaged: plan.json lists it in")) == (1, True)
     write_json(tmp_path / "experiment.json", {})
     assert cli.main(["status", str(tmp_path), "--json"]) == 0
     shown = capsys.readouterr().out.splitlines()

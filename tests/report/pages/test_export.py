@@ -1,8 +1,6 @@
-"""Tables as CSV, Markdown and LaTeX."""
+"""Tables as CSV and Markdown."""
 
 import csv
-import shutil
-import subprocess
 from pathlib import Path
 
 import pytest
@@ -10,7 +8,7 @@ import pytest
 from magical import cli
 from magical.errors import UnknownNameError
 from magical.evaluation import published_score
-from magical.report.pages.export import escape_latex, format_of, latex, markdown
+from magical.report.pages.export import format_of, markdown
 from magical.report.scores.tables import TextTable
 from tests.report.conftest import WriteEntry
 
@@ -91,51 +89,18 @@ def test_markdown_cells_are_escaped(results: Path, tmp_path: Path) -> None:
     assert {line.count("|") for line in lines} == {lines[0].count("|")}
 
 
-def test_latex_is_well_formed(results: Path, tmp_path: Path) -> None:
-    out = tmp_path / "table.tex"
-    cli.main(["report", str(results), "--out", str(out)])
-    text = out.read_text()
-    assert text.isascii()
-    assert r"50\% \& \$x\_1\$ \textbar{} \textasciitilde{}" in text
-    for name in ("table", "tabular"):
-        assert text.count(rf"\begin{{{name}}}") == text.count(rf"\end{{{name}}}") >= 3
-    plain = text.replace(r"\{", "").replace(r"\}", "")
-    assert plain.count("{") == plain.count("}")
-    for part in text.split(r"\toprule")[1:]:
-        rows = [line for line in part.split(r"\bottomrule")[0].splitlines() if r"\\" in line]
-        assert len({line.replace(r"\&", "").count("&") for line in rows}) == 1
-
-
-def test_latex_compiles(results: Path, tmp_path: Path) -> None:
-    if shutil.which("pdflatex") is None:
-        pytest.skip("pdflatex is not installed")
-    cli.main(["report", str(results), "--out", str(tmp_path / "table.tex")])
-    document = (
-        "\\documentclass{article}\n\\usepackage{booktabs,graphicx}\n"
-        "\\begin{document}\n\\input{table.tex}\n\\end{document}\n"
-    )
-    (tmp_path / "document.tex").write_text(document)
-    command = ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "document.tex"]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stdout[-2000:]
-    assert "Overfull" not in done.stdout
-
-
 def test_tables_are_escaped() -> None:
-    assert escape_latex("m† [B]") == r"m\dag{} {[}B{]}"
     table = TextTable("T", ("a", "b"), [("x", "0.50 [0.40, 0.60]")], "note")
     assert markdown(table).splitlines()[2:5] == [
         "| a | b |",
         "| --- | --- |",
         r"| x | 0.50 \[0.40, 0.60\] |",
     ]
-    assert "x & 0.50 {[}0.40, 0.60{]} \\\\" in latex(table)
-    assert escape_latex("±−–ü") == r"$\pm$$-$--?"
 
 
 @pytest.mark.parametrize(
     ("name", "kind"),
-    [("x.csv", "csv"), ("x.MD", "markdown"), ("x.tex", "latex"), ("x.html", "html"), ("x", "html")],
+    [("x.csv", "csv"), ("x.MD", "markdown"), ("x.html", "html"), ("x", "html")],
 )
 def test_the_suffix_says_the_format(name: str, kind: str) -> None:
     assert format_of(Path(name)) == kind

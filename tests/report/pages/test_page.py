@@ -58,19 +58,9 @@ def test_the_report_command_prints_tables_and_writes_a_page(
     assert re.search(r"0\.50 \[0\.\d+, 0\.\d+\]", printed)
     assert "0.48 ± 0.08" in printed
     text = page.read_text()
-    assert "demonstrations 10" in text
     assert "BC (ST), published" in text
-    for heading in ("Learning curves", "rollouts</h2>", "Probability of improvement"):
+    for heading in ("Learning curves", "rollouts</h2>", "Generalisation gaps"):
         assert heading not in text  # empty parts
-
-
-def test_only_addresses_of_pages_become_links(write_entry: WriteEntry, tmp_path: Path) -> None:
-    details = {"a": "https://example.org/x", "b": "javascript:alert(1)", "c": "https://a.b see"}
-    folder = write_entry("run", "m", {"MoveToRegion-Demo": [1.0]}, details=details)
-    page = tmp_path / "page.html"
-    assert cli.main(["report", str(folder), "--out", str(page)]) == 0
-    addresses = Elements(page.read_text()).values("href", "a")
-    assert [address for address in addresses if ":" in address] == ["https://example.org/x"]
 
 
 def test_the_report_command_names_what_is_missing(
@@ -116,14 +106,10 @@ def test_the_report_of_a_folder_says_everything(
         "3 evaluated runs of 2 methods; 2 skipped",
         "expected the header",
         "expected JSON, found something else",
-        "1 of 2 runs",
-        "not evaluated on Jitter, Layout, Colour, Dynamics",
         "Generalisation gaps",
-        "Probability of improvement",
-        'aria-label="Performance profiles of all methods"',
+        'aria-label="interquartile mean"',
         'aria-label="Learning curves: loss on MoveToRegion"',
         "$b_1日本 on MoveToRegion",
         "&lt;a&gt; on MoveToRegion: ",  # its run folder has no checkpoint
-        "versions: torch 9.9",
     ):
         assert words in text, words

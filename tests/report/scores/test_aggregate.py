@@ -1,4 +1,4 @@
-"""Methods over all environments, along each axis, and pair by pair."""
+"""Methods over all environments and along each axis."""
 
 import math
 
@@ -7,16 +7,8 @@ import pytest
 from magical.envs import EnvId
 from magical.evaluation import Entry
 from magical.evaluation.intervals import OverRollouts
-from magical.evaluation.statistics import probability_of_improvement
 from magical.report.scores.methods import ComparedMethod, compared_methods
-from magical.report.scores.summaries import (
-    THRESHOLDS,
-    aggregate_table,
-    gap_table,
-    improvement_table,
-    interval_text,
-    profiles,
-)
+from magical.report.scores.summaries import aggregate_table, gap_table
 from magical.report.scores.tables import RUNS_APART, TextTable
 from tests.report.conftest import make_entry
 
@@ -51,24 +43,19 @@ def test_one_run_each_is_compared_over_rollouts() -> None:
     assert rows[0].mean().low < 1.5 / 8 < rows[0].mean().high
     assert rows[1].difference(rows[0]).value == pytest.approx(0.5 - 1.5 / 8)
     # The interquartile mean; no comparison with itself.
-    assert grid.rows[0][3:] == ("0.19", "0.81", "–", "–", "–")
-    # Better on line, the same on dupe.
-    assert [cell.split()[0] for cell in grid.rows[1][4:]] == ["0.50", "–", "0.31", "0.75"]
+    assert grid.rows[0][3:] == ("0.19", "–", "–")
+    assert [cell.split()[0] for cell in grid.rows[1][4:]] == ["–", "0.31"]
 
 
 def test_several_runs_each_are_compared_over_runs() -> None:
     runs = [entry("a", line=[*pair]) for pair in ((0.2, 0.4), (0.4, 0.4), (0.5, 0.5))]
     others = [entry("b", line=[score]) for score in (0.4, 0.5, 0.6)]
-    rows, grid = compared([*runs, *others])
+    rows, _grid = compared([*runs, *others])
     half = T2 * 0.1 / math.sqrt(3)
     assert [row.unit for row in rows] == ["3 runs"] * 2
     assert rows[0].mean() == pytest.approx((0.4, 0.4 - half, 0.4 + half))
     half = T4 * math.sqrt(2 * 0.01 / 3)
     assert rows[1].difference(rows[0]) == pytest.approx((0.1, 0.1 - half, 0.1 + half))
-    # 0.4 beats one and ties with one, 0.5 beats two and ties with one, 0.6 beats three.
-    better = probability_of_improvement(rows[1].means, rows[0].means)
-    assert better.value == pytest.approx((1.5 + 2.5 + 3) / 9)
-    assert grid.rows[1][-1] == interval_text(better)
 
 
 def test_a_method_with_one_run_leaves_others_their_intervals_over_runs() -> None:
@@ -113,8 +100,8 @@ def test_runs_that_do_not_differ_have_an_interval_over_their_rollouts(runs: int,
     assert found == pytest.approx((0.5, 0.5 - half, 0.5 + half), abs=1e-4)
     over = "" if runs < 3 else " over rollouts"
     assert grid.rows[0][1:3] == (unit, f"0.50 [{0.5 - half:.2f}, {0.5 + half:.2f}]{over}")
-    assert grid.rows[0][3:5] == ("0.50", "0.50")
-    assert grid.rows[0][5].startswith("0.00 [−0.")
+    assert grid.rows[0][3] == "0.50"
+    assert grid.rows[0][4].startswith("0.00 [−0.")
 
 
 def test_two_runs_that_differ_have_an_interval_over_their_rollouts() -> None:
@@ -122,7 +109,7 @@ def test_two_runs_that_differ_have_an_interval_over_their_rollouts() -> None:
     rows, grid = compared([*pair, *[entry("b", line=[score]) for score in (0.1, 0.2, 0.3)]])
     assert [row.unit for row in rows] == ["rollouts of 2 runs", "3 runs"]
     assert isinstance(rows[1].difference(rows[0]), OverRollouts)
-    assert grid.rows[1][6].endswith("] over rollouts")
+    assert grid.rows[1][5].endswith("] over rollouts")
 
 
 def test_few_runs_of_which_some_fail_are_listed() -> None:
@@ -161,16 +148,14 @@ def test_only_environments_that_all_runs_on_a_task_have_count() -> None:
 def test_rows_and_header_fit() -> None:
     runs = [entry("a", line=[0.5], line_all=[0.5])] * 2 + [entry("b", line=[0.5], line_all=[0.5])]
     _, grid = compared(runs)
-    assert grid.header[4:] == (
-        *("optimality gap", "generalisation gap", "difference from a", "P(better than a)"),
-    )
+    assert grid.header[4:] == ("generalisation gap", "difference from a")
     assert grid.rows[0][:2] == ("a", "rollouts of 2 runs")
-    assert grid.rows[0][3:5] == ("0.50", "0.50")
-    assert grid.rows[0][6:] == ("–", "–")
-    assert grid.rows[1][1:5] == ("rollouts of 1 run", "0.50 [0.19, 0.81]", "0.50", "0.50")
+    assert grid.rows[0][3] == "0.50"
+    assert grid.rows[0][5] == "–"
+    assert grid.rows[1][1:4] == ("rollouts of 1 run", "0.50 [0.19, 0.81]", "0.50")
     _, grid = compared([entry("a", line=[0.5])])
     assert grid.header[-1] == "generalisation gap"
-    assert grid.rows == [("a", "rollouts of 1 run", "0.50 [0.05, 0.95]", "0.50", "0.50", "–")]
+    assert grid.rows == [("a", "rollouts of 1 run", "0.50 [0.05, 0.95]", "0.50", "–")]
 
 
 def test_gaps_have_a_column_for_each_axis_that_there_is() -> None:
@@ -188,29 +173,3 @@ def test_gaps_have_a_column_for_each_axis_that_there_is() -> None:
     assert grid.rows[0][1] == f"0.10 [−{half - 0.1:.2f}, {0.1 + half:.2f}]"
     assert grid.rows[1][2].startswith("1.00 [")
     assert gap_table(compared_methods([entry("a", line_all=[1.0])])) is None
-
-
-def test_every_method_is_compared_with_every_other() -> None:
-    means = [("a", 0.9), ("a", 0.7), ("b", 0.8), ("b", 0.6), ("c", 0.9)]
-    entries = [entry(method, line=[mean]) for method, mean in means]
-    table = improvement_table(compared_methods(entries))
-    assert table is not None
-    assert table.variants == ("a", "b", "c")
-    cells = {row.label: {name: cell.mean for name, cell in row.cells.items()} for row in table.rows}
-    # Of 4 pairs a wins (0.9, 0.8), (0.9, 0.6), (0.7, 0.6); against c it ties once and loses once.
-    assert cells["a"] == pytest.approx({"b": 0.75, "c": 0.25})
-    assert cells["b"] == pytest.approx({"a": 0.25, "c": 0.0})
-    assert cells["c"] == pytest.approx({"a": 0.75, "b": 1.0})
-    assert improvement_table(compared_methods(entries[:2])) is None
-
-
-def test_profiles_fall_from_left_to_right() -> None:
-    methods = compared_methods(
-        [entry("a", line=[0.9]), entry("a", line=[0.3]), entry("b", line=[0.0])]
-    )
-    found = profiles(methods)
-    shares = [interval.value for interval in found["a"]]
-    assert shares[0] == 1.0
-    assert shares[list(THRESHOLDS).index(0.5)] == 0.5
-    assert shares == sorted(shares, reverse=True)
-    assert {interval.value for interval in found["b"]} == {0.0}

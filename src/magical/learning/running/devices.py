@@ -85,7 +85,7 @@ def choose_compute(device: Device, precision: str, threads: int) -> Compute:
     """Choose what a run computes with, from its configuration and the processor's capabilities.
 
     Nothing is measured, so the same configuration gives the same weights on the same machine,
-    whatever else runs on it. `magical bench training` measures speeds and recommends options.
+    whatever else runs on it. `benchmarks/learning.py` measures speeds.
 
     Args:
         device: `cpu` or `cuda`.

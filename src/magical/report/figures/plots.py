@@ -4,13 +4,13 @@ import html
 import io
 import re
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 
-from magical.evaluation.intervals import Floats, Interval
+from magical.evaluation.intervals import Interval
 
 # Okabe and Ito's colours, which are colour-blind safe; then the same colours with other dashes.
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#222222")
@@ -70,42 +70,16 @@ def svg(figure: Any, name: str, label: str) -> str:
     return text.replace("<svg", f'<svg role="img" aria-label="{html.escape(label)}"', 1)
 
 
-def profile_plot(thresholds: Floats, profiles: Mapping[str, Sequence[Interval]]) -> str:
-    """Performance profiles: the share of runs that score above each threshold."""
-    with plotting():
-        figure = new_figure(3.6 + legend_height(len(profiles)))
-        axes = figure.subplots()
-        lines = {}
-        for index, (name, intervals) in enumerate(profiles.items()):
-            values, lows, highs = np.array(intervals).T
-            style = line_style(index)
-            (lines[name],) = axes.step(thresholds, values, where="post", linewidth=1.8, **style)
-            if not np.isnan(lows).any():
-                band = {"color": style["color"], "alpha": 0.15, "linewidth": 0}
-                axes.fill_between(thresholds, lows, highs, step="post", **band)
-        axes.set(xlabel="score τ", ylabel="share of runs with score > τ", ylim=(-0.02, 1.02))
-        tidy(axes)
-        legend(figure, lines)
-        return svg(figure, "profile", "Performance profiles of all methods")
-
-
-def interval_plot(
-    intervals: Mapping[str, Interval], label: str, name: str, zero: bool = False
-) -> str:
-    """Estimates with their intervals, one below another, in the methods' colours.
-
-    With `zero`, they are differences: all in one colour, with a line at 0.
-    """
+def interval_plot(intervals: Mapping[str, Interval], label: str, name: str) -> str:
+    """Estimates with their intervals, one below another, in the methods' colours."""
     with plotting():
         figure = new_figure(0.9 + 0.36 * len(intervals))
         axes = figure.subplots()
         for index, (value, low, high) in enumerate(intervals.values()):
-            colour = line_style(0 if zero else index)["color"]
+            colour = line_style(index)["color"]
             if not np.isnan(low):
                 axes.plot([low, high], [index, index], color=colour, linewidth=3, alpha=0.5)
             axes.plot([value], [index], "o", color=colour, markersize=6)
-        if zero:
-            axes.axvline(0.0, color="#222222", linewidth=1)
         axes.set_yticks(range(len(intervals)), list(intervals))
         axes.set_ylim(len(intervals) - 0.5, -0.5)
         axes.set_xlabel(label)

@@ -1,1 +1,1 @@
-"""Evaluated runs in folders, which scores are missing, and how each run was made."""
+"""Evaluated runs in folders."""

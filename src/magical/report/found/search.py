@@ -25,7 +25,7 @@ from magical.evaluation.entry import (
 )
 from magical.report.found.rows import by_row
 from magical.runs import is_run, read_json
-from magical.runs.folder import CONFIG, RECORD
+from magical.runs.folder import CONFIG
 from magical.runs.plan import PLAN, REFERENCES, RESULT, RUNS, ListedRun, Listing, read_listing
 
 TELLING = 20  # rollouts whose score is not the most frequent one: enough to identify a run
@@ -50,15 +50,6 @@ class Result:
     def config(self) -> dict[str, Any]:
         """The training configuration; empty if there is none or it cannot be read."""
         return {} if self.run is None else _read(self.run / CONFIG)
-
-    @cached_property
-    def record(self) -> dict[str, Any]:
-        """Versions, device, demonstrations, machine etc., as far as they were recorded."""
-        if self.run is None:
-            return {}
-        final = _read(self.run / RESULT)
-        names = ("versions", "commit", "machine", "finished", "seconds")
-        return {**_read(self.run / RECORD), **{key: final[key] for key in names if key in final}}
 
     @property
     def seed(self) -> int | None:

@@ -6,20 +6,12 @@ from pathlib import Path
 from magical import __version__
 from magical.evaluation import Entry
 from magical.report.figures.curves import curves_by_task
-from magical.report.figures.plots import interval_plot, profile_plot
+from magical.report.figures.plots import interval_plot
 from magical.report.figures.reels import LoadPolicy, Reel, record_reels
-from magical.report.found.facts import describe_methods
-from magical.report.found.missing import find_missing
 from magical.report.found.search import Found
 from magical.report.pages.page import Figure, render_template, write_text
 from magical.report.scores.methods import ComparedMethod, compared_methods
-from magical.report.scores.summaries import (
-    THRESHOLDS,
-    aggregate_table,
-    gap_table,
-    improvement_table,
-    profiles,
-)
+from magical.report.scores.summaries import aggregate_table, gap_table
 from magical.report.scores.tables import DARKEST, LIGHTEST, TextTable, report_tables
 from magical.tasks.axes import CHANGED, short_variant
 
@@ -34,9 +26,9 @@ def write_page(
     clips: int = 0,
     conclusions: Sequence[str] = (),
 ) -> Sequence[str]:
-    """Write a page with all results of evaluated runs and their training, and what is missing.
+    """Write a page with all results of evaluated runs and their training.
 
-    Everything is in this one file, with links to the runs' files; empty sections are left out.
+    Everything is in this one file; empty sections are left out.
 
     Args:
         path: the page to write.
@@ -56,7 +48,7 @@ def write_page(
     reels, notes = (
         record_reels(found.results, load_policy, clips) if load_policy and clips else ([], [])
     )
-    write_text(path, _html(title, found, published, path, reels, notes, conclusions))
+    write_text(path, _html(title, found, published, reels, notes, conclusions))
     return () if reels else notes
 
 
@@ -64,7 +56,6 @@ def _html(
     title: str,
     found: Found,
     published: Sequence[str],
-    path: Path,
     reels: Sequence[Reel],
     notes: Sequence[str],
     conclusions: Sequence[str],
@@ -86,14 +77,11 @@ def _html(
         aggregate=aggregate_table(methods, found.entries) if methods else None,
         aggregate_figures=_figures(methods) if methods else (),
         gaps=gap_table(methods) if methods else None,
-        improvement=improvement_table(methods) if methods else None,
         curves=curves,
         extremes=reels,
         clip_notes=notes,
-        missing=_missing(found),
         skipped=_skipped(skipped),
         version=__version__,
-        methods=describe_methods(found.results, path),
     )
 
 
@@ -132,23 +120,7 @@ def _figures(methods: Sequence[ComparedMethod]) -> list[Figure]:
             "Interquartile mean: the mean of the middle half of all runs' scores, with 95% "
             "intervals over runs.",
         ),
-        Figure(
-            profile_plot(THRESHOLDS, profiles(methods)),
-            "Performance profiles: the share of runs, averaged over environments, that score above "
-            "τ; higher is better. Shaded: pointwise 95% intervals over runs.",
-        ),
     ]
-
-
-def _missing(found: Found) -> TextTable | None:
-    note = (
-        "Every method is expected to have runs on each task that another method has, as many and "
-        "with the same seeds, evaluated on all variants."
-        if found.planned is None
-        else "Runs of the plan without scores, and variants that runs were not evaluated on."
-    )
-    rows = find_missing(found)
-    return TextTable("Scores", ("method", "task", "missing"), rows, note) if rows else None
 
 
 def _skipped(rows: Sequence[tuple[str, str]]) -> TextTable | None:

@@ -1,4 +1,4 @@
-"""The tables as CSV, Markdown and LaTeX."""
+"""The tables as CSV and Markdown."""
 
 import csv
 import io
@@ -20,7 +20,7 @@ from magical.report.found.statements import LOOKS, class_of
 from magical.report.pages.page import write_text
 from magical.report.scores.differences import RULE, counterparts, differences
 from magical.report.scores.methods import compared_methods, make_method
-from magical.report.scores.summaries import aggregate_table, gap_table, improvement_table
+from magical.report.scores.summaries import aggregate_table, gap_table
 from magical.report.scores.tables import TextTable, entry_tasks, report_tables, rows_on
 from magical.tasks import get_task
 from magical.tasks.axes import full_variant
@@ -34,10 +34,8 @@ def all_tables(found: Found, published: Sequence[str]) -> list[TextTable]:
     entries = found.entries
     tables = [table.as_text() for table in report_tables(entries, published)]
     if methods := compared_methods(entries):
-        improvement = improvement_table(methods)
         tables.append(aggregate_table(methods, entries))
         tables += [gaps] if (gaps := gap_table(methods)) else []
-        tables += [improvement.as_text()] if improvement else []
     return tables
 
 
@@ -65,14 +63,8 @@ def write_markdown(found: Found, published: Sequence[str], path: Path) -> None:
     write_text(path, "\n".join(map(markdown, all_tables(found, published))))
 
 
-def write_latex(found: Found, published: Sequence[str], path: Path) -> None:
-    r"""Write all tables in LaTeX, for `\input` into a document with booktabs and graphicx."""
-    head = "% Needs \\usepackage{booktabs,graphicx}.\n"
-    write_text(path, head + "\n".join(map(latex, all_tables(found, published))))
-
-
-FORMATS: Mapping[str, Write] = {"csv": write_csv, "markdown": write_markdown, "latex": write_latex}
-_SUFFIXES = {".html": "html", ".csv": "csv", ".md": "markdown", ".tex": "latex"}
+FORMATS: Mapping[str, Write] = {"csv": write_csv, "markdown": write_markdown}
+_SUFFIXES = {".html": "html", ".csv": "csv", ".md": "markdown"}
 
 
 def format_of(path: Path) -> str:
@@ -90,52 +82,6 @@ def markdown(table: TextTable) -> str:
     return "\n".join(
         [f"## {_escape_markdown(table.title)}", "", *lines, "", _escape_markdown(table.note), ""]
     )
-
-
-def latex(table: TextTable) -> str:
-    """A LaTeX table with booktabs rules; its heading and note become the caption."""
-    rows = [" & ".join(map(escape_latex, row)) + r" \\" for row in (table.header, *table.rows)]
-    caption = f"{escape_latex(table.title)}. {escape_latex(table.note)}"
-    return "\n".join(
-        [
-            r"\begin{table}",
-            r"  \centering\footnotesize\setlength{\tabcolsep}{3pt}",
-            rf"  \caption{{{caption}}}",
-            r"  \resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}{%",
-            rf"  \begin{{tabular}}{{l{'c' * (len(table.header) - 1)}}}",
-            r"    \toprule",
-            f"    {rows[0]}",
-            r"    \midrule",
-            *(f"    {row}" for row in rows[1:]),
-            r"    \bottomrule",
-            r"  \end{tabular}}",
-            r"\end{table}",
-            "",
-        ]
-    )
-
-
-_LATEX = {
-    "\\": r"\textbackslash{}",
-    **{character: f"\\{character}" for character in "&%$#_{}"},
-    "~": r"\textasciitilde{}",
-    "^": r"\textasciicircum{}",
-    "|": r"\textbar{}",  # a dash in LaTeX's default encoding
-    "±": r"$\pm$",
-    "−": "$-$",
-    "†": r"\dag{}",
-    "–": "--",
-    "<": "$<$",
-    ">": "$>$",
-    "[": "{[}",  # after a line break, a bracket would start its optional argument
-    "]": "{]}",
-}
-
-
-def escape_latex(text: str) -> str:
-    """Escape text; characters that LaTeX's default fonts may lack become question marks."""
-    escaped = (_LATEX.get(c, c if c.isascii() and c.isprintable() else "?") for c in text)
-    return "".join(escaped)
 
 
 def _escape_markdown(text: str) -> str:

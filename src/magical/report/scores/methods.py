@@ -2,7 +2,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,7 +24,6 @@ from magical.evaluation.statistics import (
     generalisation_gap,
     interquartile_mean,
     mean,
-    optimality_gap,
     over_rollouts,
     run_means,
 )
@@ -81,10 +80,6 @@ class ComparedMethod:
     def interquartile_mean(self) -> Interval:
         """The interquartile mean; without bounds where the interval would not be over runs."""
         return self._over_runs_only(interquartile_mean(self.means))
-
-    def optimality_gap(self) -> Interval:
-        """The optimality gap; without bounds where the interval would not be over runs."""
-        return self._over_runs_only(optimality_gap(self.means))
 
     def difference(self, other: "ComparedMethod") -> Interval:
         """This method's mean minus another's; over runs if both means are."""
@@ -149,11 +144,7 @@ def compared_methods(entries: Iterable[Entry]) -> list[ComparedMethod]:
     runs are each on all of its tasks or on some; it has an environment if all its runs on that
     task do, so a mean over environments is over the same ones for all runs of a task.
     """
-    return compared_rows(by_row(entries, lambda entry: entry))
-
-
-def compared_rows(rows: Mapping[str, Sequence[Entry]]) -> list[ComparedMethod]:
-    """As `compared_methods`, for rows given by their labels."""
+    rows = by_row(entries, lambda entry: entry)
     found = [_environments(runs) for runs in rows.values()]
     shared = [env_id for env_id in (found[0] if found else []) if all(env_id in i for i in found)]
     return (

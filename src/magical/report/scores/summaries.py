@@ -1,4 +1,4 @@
-"""Plain-text tables: methods over all environments, along each axis, and pair by pair.
+"""Plain-text tables: methods over all environments and along each axis.
 
 Statistics follow Agarwal et al. (2021); intervals are those of `magical.evaluation.statistics`.
 """
@@ -6,25 +6,21 @@ Statistics follow Agarwal et al. (2021); intervals are those of `magical.evaluat
 import math
 from collections.abc import Sequence
 
-import numpy as np
-
 from magical.evaluation import Entry
 from magical.evaluation.intervals import Interval, OverRollouts
-from magical.evaluation.statistics import performance_profile, probability_of_improvement
 from magical.messages import decimals
 from magical.report.found.statements import MARKS
 from magical.report.scores.methods import ComparedMethod
-from magical.report.scores.tables import RUNS_APART, Cell, Row, ScoreTable, TextTable
+from magical.report.scores.tables import RUNS_APART, TextTable
 from magical.tasks import VARIANTS
 from magical.tasks.axes import short_variant
 
-THRESHOLDS = np.linspace(0.0, 1.0, 50, endpoint=False)  # no score exceeds 1
 AXES = tuple(variant for variant in VARIANTS if variant != "Demo")
 SHOWN = 6  # environments named in a note
 NOTE = (
     "95% intervals over training runs; with fewer than three runs of an environment, or where runs "
     "do not differ, they are over rollouts, and do not include the spread between training runs. "
-    "Interquartile mean and optimality gap have no interval then."
+    "The interquartile mean has no interval then."
 ) + MARKS
 
 
@@ -65,19 +61,16 @@ def aggregate_table(methods: Sequence[ComparedMethod], entries: Sequence[Entry])
         entries: all entries; environments left out of the comparison are named in the note.
     """
     first = methods[0]
-    header = ["method", "intervals over", "mean", "interquartile mean", "optimality gap"]
+    header = ["method", "intervals over", "mean", "interquartile mean"]
     header += ["generalisation gap"]
     if len(methods) > 1:
-        header += [f"difference from {first.name}", f"P(better than {first.name})"]
+        header.append(f"difference from {first.name}")
     rows = []
     for method in methods:
         row = [method.name, method.unit, mean_text(method)]
-        row += map(interval_text, (method.interquartile_mean(), method.optimality_gap()))
-        row.append(gap_text(method))
+        row += [interval_text(method.interquartile_mean()), gap_text(method)]
         if method is not first:
-            better = probability_of_improvement(method.means, first.means)
-            difference = interval_text(method.difference(first), method.unit)
-            row += [difference, interval_text(better)]
+            row.append(interval_text(method.difference(first), method.unit))
         rows.append((*row, *["–"] * (len(header) - len(row))))
     count = len(first.env_ids)
     note = f"Over {count} environment{'s' if count != 1 else ''}.{_left_out(first, entries)} {NOTE}"
@@ -110,32 +103,3 @@ def gap_table(methods: Sequence[ComparedMethod]) -> TextTable | None:
         "as above."
     )
     return TextTable("Generalisation gaps", ("method", *map(short_variant, axes)), rows, note)
-
-
-def improvement_table(methods: Sequence[ComparedMethod]) -> ScoreTable | None:
-    """The probability that the row's method beats the column's; `None` for a single method."""
-    if len(methods) < 2:
-        return None
-    names = tuple(method.name for method in methods)
-    rows = tuple(
-        Row(row.name, {o.name: _improvement(row, o) for o in methods if o is not row}, row.unit)
-        for row in methods
-    )
-    note = (
-        "The probability that a run of the row's method scores higher than a run of the column's, "
-        "averaged over environments; ties count as half. The 95% intervals over runs are wide "
-        "(their coverage is 99 to 100%): with five runs they exclude 0.5 only if one method wins "
-        "at least 94% of the pairs of runs. To decide which method is better, look at the "
-        "difference of the means."
-    )
-    return ScoreTable("Probability of improvement", names, rows, note)
-
-
-def _improvement(method: ComparedMethod, other: ComparedMethod) -> Cell:
-    value, low, high = probability_of_improvement(method.means, other.means)
-    return Cell(value, f"[{decimals(low)}, {decimals(high)}]")
-
-
-def profiles(methods: Sequence[ComparedMethod]) -> dict[str, list[Interval]]:
-    """Each method's performance profile at `THRESHOLDS`, by name."""
-    return {method.name: performance_profile(method.means, THRESHOLDS) for method in methods}

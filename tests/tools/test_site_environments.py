@@ -1,0 +1,63 @@
+"""The site's pages of environments: tasks, scenes and rollouts in words and pictures."""
+
+import io
+
+import pytest
+from PIL import Image
+
+from magical.envs import EnvId
+from magical.envs.env import MagicalEnv
+from magical.experts import rollout
+from magical.scene import Block, Colour, Pose, Region, Scene, Shape
+from magical.tasks import CHANGES, TASKS, Axis, Task, get_task
+from tools.site.descriptions import describe_changes, describe_scene, describe_task
+from tools.site.previews import SIZE, make_previews
+
+
+def test_scenes_and_scores_are_the_environments_own() -> None:
+    (preview,) = make_previews([EnvId("MoveToRegion", "TestAll")], seed=3, workers=1)
+    env = MagicalEnv("MoveToRegion", "TestAll", observation="state")
+    env.reset(seed=3)
+    assert preview.scene == describe_scene(env.state().scene)
+    assert preview.score == rollout("MoveToRegion", "TestAll", 3).score
+    with Image.open(io.BytesIO(preview.still)) as still:
+        assert still.size == (SIZE, SIZE)
+    with Image.open(io.BytesIO(preview.animation)) as animation:
+        assert animation.n_frames > 5
+
+
+def test_the_images_do_not_depend_on_the_number_of_processes() -> None:
+    ids = [EnvId("MoveToRegion", variant) for variant in ("Demo", "TestAll")]
+    assert list(make_previews(ids, 1, workers=2)) == list(make_previews(ids, 1, workers=1))
+
+
+@pytest.mark.parametrize("task", TASKS.values(), ids=lambda task: task.name)
+def test_every_tasks_docstring_describes_it(task: Task) -> None:
+    description = describe_task(task)
+    words = " ".join(paragraph.text for paragraph in description.scoring_rule)
+    assert len(words) > 60
+    assert "Horizon" not in words
+    assert "`" not in words
+    named = " ".join(description.variation).lower()
+    assert all(str(axis.name).lower() in named for axis in CHANGES if axis in task.axes)
+
+
+def test_formulas_are_indented() -> None:
+    formulas = [p.text for p in describe_task(get_task("FindDupe")).scoring_rule if p.is_formula]
+    assert formulas == ["[q in R] x [T & R not empty] x (1 - |D & R| / |R|)."]
+
+
+def test_changes_are_the_variants_axes() -> None:
+    assert set(CHANGES) == set(Axis)
+    corner = get_task("MoveToCorner")
+    assert describe_changes(corner, "Demo") == "the scene of the demonstrations"
+    assert describe_changes(corner, "TestShape") == CHANGES[Axis.SHAPE]
+    assert describe_changes(corner, "TestAll") == "jitter, colour, shape, dynamics"
+
+
+def test_a_scene_in_words() -> None:
+    squares = [Block(Shape.SQUARE, Colour.RED, Pose(x, 0.0, 0.0)) for x in (-0.5, 0.5)]
+    star = Block(Shape.STAR, Colour.GREEN, Pose(0.0, 0.5, 0.0))
+    region = Region(Colour.BLUE, x=0.0, y=0.0, height=0.5, width=0.5)
+    scene = Scene(Pose(0.0, -0.5, 0.0), (squares[0], star, squares[1]), (region,))
+    assert describe_scene(scene) == "a robot, 1 blue goal region, 2 red squares, 1 green star"
