@@ -169,7 +169,7 @@ def test_extras_are_those_of_the_package(root: Path) -> None:
     extras = project["optional-dependencies"]
     for extra, libraries in EXTRAS.items():
         for library in libraries:
-            name = {"pygame": "pygame-ce", "h5py": "minari[hdf5]"}.get(library, library)
+            name = {"h5py": "minari[hdf5]"}.get(library, library)
             assert any(need.startswith(name.replace("_", "-")) for need in extras[extra]), library
 
 

@@ -7,7 +7,6 @@ Importing registers the environments with Gymnasium and does nothing else:
 """
 
 import warnings
-from typing import NoReturn
 
 from magical.envs import all_env_ids, parse_env_id, register_all
 from magical.envs import register_envs as _register_envs
@@ -30,24 +29,6 @@ def register_envs() -> None:
         DeprecationWarning,
         stacklevel=2,
     )
-
-
-# Names that code for the published package imports, and what to use instead.
-_REPLACED = {
-    "saved_trajectories": "magical.demos.Dataset, or `magical demos import` for published files",
-    "load_demos": "magical.demos.Dataset, or `magical demos import` for published files",
-    "try_download_demos": "`magical demos download`",
-    "EvaluationProtocol": "magical.evaluation.evaluate, or `magical evaluate`",
-}
-
-
-def __getattr__(name: str) -> NoReturn:
-    if name in _REPLACED:
-        raise ImportError(
-            f"magical.{name} belongs to the published package; use {_REPLACED[name]} "
-            "(docs/from-the-published-package.md)"
-        )
-    raise AttributeError(f"module 'magical' has no attribute {name!r}")
 
 
 register_all()

@@ -41,22 +41,6 @@ def test_register_envs_says_that_it_does_nothing() -> None:
         magical.register_envs()
 
 
-@pytest.mark.parametrize(
-    ("name", "replacement"),
-    [
-        ("saved_trajectories", "magical.demos.Dataset"),
-        ("load_demos", "magical.demos.Dataset"),
-        ("try_download_demos", "magical demos download"),
-        ("EvaluationProtocol", "magical.evaluation.evaluate"),
-    ],
-)
-def test_imports_name_the_replacement(name: str, replacement: str) -> None:
-    with pytest.raises(ImportError, match=replacement):
-        getattr(magical, name)
-    with pytest.raises(AttributeError, match="no attribute 'load_demo'"):
-        getattr(magical, "load_" + "demo")
-
-
 def test_the_published_option_names_the_command(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["--env-name", "MoveToCorner-Demo-v0"]) == 2
     assert "use `magical play --env ID`" in capsys.readouterr().err

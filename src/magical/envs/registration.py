@@ -107,5 +107,5 @@ def make_by_published_id(new_id: str, num_envs: int | None = None, **options: An
 
 # Gymnasium looks for render modes here; they are those of `MagicalEnv`.
 make_by_published_id.metadata = {  # type: ignore[attr-defined]
-    "render_modes": ["rgb_array", "human"]
+    "render_modes": ["rgb_array"]
 }
