@@ -1,7 +1,7 @@
 """Measures the scripted experts: python benchmarks/experts.py [SECTION]...
 
-Sections: speed, lengths, diversity (default: all). Needs no files. For scores, also of less skilled
-experts and of experts that take over, use `magical expert evaluate`.
+Sections: speed, lengths, diversity (default: all). Needs no files. For scores, also of experts
+that take over, use `magical expert evaluate`.
 """
 
 import sys

@@ -21,7 +21,7 @@ def test_json_has_a_mean_a_deviation_and_all_scores(capsys: pytest.CaptureFixtur
 
 def test_scores_depend_on_the_seed_alone() -> None:
     ids = ["magical/MoveToRegion-TestLayout-v0", "magical/FixColour-TestLayout-v0"]
-    policy = ExpertPolicy(skill=0.3)
+    policy = ExpertPolicy(random_share=0.3)
     one, two = (evaluate(policy, ids, rollouts=3, seed=5, workers=workers) for workers in (1, 2))
     assert one == two
 

@@ -8,7 +8,6 @@ from typing import Any
 
 from magical.commands._common import (
     add_json,
-    add_number,
     add_rollouts,
     add_seed,
     add_several,
@@ -28,7 +27,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_several(evaluate, "--env", "environment ids (default: all)", "ID")
     add_rollouts(evaluate)
     add_seed(evaluate, "which set of fixed evaluation seeds to use")
-    add_number(evaluate, "--skill", "the experts' skill, 0 to 1", default=1.0, most=1)
     evaluate.add_argument(
         "--takeover",
         action="store_true",
@@ -48,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
     from magical.evaluation.statistics import by_environment
     from magical.progress import ProgressBar
 
-    policy = ExpertPolicy(args.skill, TAKEOVER if args.takeover else 0.0)
+    policy = ExpertPolicy(TAKEOVER if args.takeover else 0.0)
     env_ids = [parse_env_id(env_id).without_preset for env_id in args.env or all_env_ids()]
     with ProgressBar("rollouts", len(env_ids) * args.rollouts) as bar:
         rows = evaluate(
