@@ -8,7 +8,7 @@ SHELL := /bin/bash
 VENV := .venv
 BIN := $(VENV)/$(if $(filter Windows_NT,$(OS)),Scripts,bin)
 READY := $(VENV)/.ready
-EXTRAS := dev,docs,learning,report,video,window,minari,lerobot,hub,sb3,tensorboard,web
+EXTRAS := dev,docs,learning,report,video,minari,lerobot,hub,tensorboard,web
 # The first interpreter that runs; `make PYTHON=/path/to/python` overrules it.
 PYTHON ?= $(firstword $(foreach name,python3.11 python3.12 python3.13 python3,\
 	$(shell $(name) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $(name))))
@@ -26,7 +26,7 @@ $(READY): pyproject.toml constraints.txt
 	@test -n "$(PYTHON)" || { echo "error: no Python 3.11 or newer found; set PYTHON=" >&2; exit 1; }
 	@echo "setting up $(VENV) with $(PYTHON): minutes, and gigabytes with a CUDA build of PyTorch"
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	@$(BIN)/python tools/install.py $(EXTRAS)
+	@$(BIN)/python tools/install.py $(EXTRAS) stable-baselines3
 	@touch $@
 
 test: $(READY) ## all tests on one Python

@@ -4,11 +4,10 @@ python benchmarks/expert_constants.py OUT.csv [--only NAME ...] [--tasks TASK ..
 
 The numbers in the definition of every public constant at the top level of a file in
 `magical.experts` are multiplied by each factor, in a copy of the package, and the expert is rolled
-out in a few TestAll episodes. (The constants of `noise` are left out: an expert with full skill
-does not use them.) OUT.csv has a row for each constant and factor: the mean score, its difference
-from the score with unchanged constants, and the fraction of episodes in which any action differs.
-Repeating the command continues where it stopped; a constant whose definition has changed since is
-measured again.
+out in a few TestAll episodes. (The constant of `noise` is left out: the expert does not use it.)
+OUT.csv has a row for each constant and factor: the mean score, its difference from the score with
+unchanged constants, and the fraction of episodes in which any action differs. Repeating the command
+continues where it stopped; a constant whose definition has changed since is measured again.
 """
 
 import argparse

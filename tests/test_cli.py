@@ -41,7 +41,7 @@ def fail_with(monkeypatch: pytest.MonkeyPatch) -> Callable[[BaseException], int]
 
 def test_commands_are_found_in_order() -> None:
     assert list(COMMANDS) == sorted(COMMANDS)
-    assert {"conformance", "envs", "show"} <= set(COMMANDS)
+    assert {"envs", "show"} <= set(COMMANDS)
 
 
 @pytest.mark.parametrize("name", COMMANDS)
@@ -93,7 +93,6 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
         ["show", "magical/MoveToMoon-Demo-v0"],
         ["show", "magical/MoveToCorner-TestLayout-v0"],
         ["show", "magical/MoveToCorner-Demo-v0", "--out", "no-folder/scene.jpg"],
-        ["conformance", "smells", "x.json"],
     ],
 )
 def test_wrong_usage_exits_2(argv: list[str], capsys: pytest.CaptureFixture[str]) -> None:
@@ -169,7 +168,7 @@ def test_extras_are_those_of_the_package(root: Path) -> None:
     extras = project["optional-dependencies"]
     for extra, libraries in EXTRAS.items():
         for library in libraries:
-            name = {"pygame": "pygame-ce", "h5py": "minari[hdf5]"}.get(library, library)
+            name = {"h5py": "minari[hdf5]"}.get(library, library)
             assert any(need.startswith(name.replace("_", "-")) for need in extras[extra]), library
 
 
@@ -293,18 +292,3 @@ def test_show_chooses_a_name(
     report = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert report["out"] == "magical-MoveToRegion-Demo-v0.png"
     assert (tmp_path / report["out"]).is_file()
-
-
-def test_conformance_without_answers_computes_and_writes(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    data, out = tmp_path / "motions.json", tmp_path / "out.json"
-    motion = {"robot": [[0.0, 0.0], 0.0], "blocks": [], "actions": [0]}
-    data.write_text(json.dumps({"drive-still": motion}))
-    assert cli.main(["conformance", "motions", str(data), "--out", str(out)]) == 0
-    assert len(json.loads(out.read_text())["drive-still"]["robot_pose"]) == 2
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert "nothing compared" in captured.err
-    assert cli.main(["conformance", "motions", str(tmp_path / "missing")]) == 1
-    assert "missing" in capsys.readouterr().err

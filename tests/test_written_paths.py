@@ -6,7 +6,6 @@ from pathlib import Path
 import pytest
 
 from magical.cli import main
-from magical.conformance.recordings import DATA
 from magical.demos.generate import generate
 from tests.demos.conftest import Published
 
@@ -26,7 +25,6 @@ settings = { batches = 2, batch_size = 2 }
 """
 EVALUATED = "--task MoveToRegion --variants Demo --rollouts 1"
 TRAINED = "--task MoveToRegion --num-demos 1 --batches 2 --batch-size 2 --preset quick"
-RECORDED = DATA / "scores.json.gz"
 COMMANDS = {  # the command, what it needs, what it writes below --out
     "import": ("demos import {in}/published --frames-only --workers 1", "", "manifest.jsonl"),
     "generate": (f"demos generate --env {ENV} -n 1 --workers 1", "", "manifest.jsonl"),
@@ -39,7 +37,6 @@ COMMANDS = {  # the command, what it needs, what it writes below --out
     "show": (f"show {ENV}", "", ".png"),
     "train": (f"train bc {TRAINED} --demos {{in}}/demos", "torch", "config.json"),
     "run": ("run {in}/plan.toml --demos {in}/demos --workers 1", "torch", "plan.json"),
-    "conformance": (f"conformance scores {RECORDED}", "", ".json"),
 }
 
 

@@ -6,10 +6,7 @@ Importing registers the environments with Gymnasium and does nothing else:
     env = gymnasium.make("magical/MoveToCorner-Demo-LoRes4E-v0")
 """
 
-import warnings
-from typing import NoReturn
-
-from magical.envs import all_env_ids, parse_env_id, register_all
+from magical.envs import all_env_ids, env_spec, parse_env_id, register_all, register_published
 from magical.envs import register_envs as _register_envs
 from magical.tasks import TASKS, Task, get_task
 from magical.tasks import register_task as _register_task
@@ -23,33 +20,6 @@ def register_task(task: Task) -> None:
     _register_envs(task.name)
 
 
-def register_envs() -> None:
-    """Do nothing: importing the package registers its environments."""
-    warnings.warn(
-        "magical.register_envs() does nothing: importing magical registers the environments",
-        DeprecationWarning,
-        stacklevel=2,
-    )
-
-
-# Names that code for the published package imports, and what to use instead.
-_REPLACED = {
-    "saved_trajectories": "magical.demos.Dataset, or `magical demos import` for published files",
-    "load_demos": "magical.demos.Dataset, or `magical demos import` for published files",
-    "try_download_demos": "`magical demos download`",
-    "EvaluationProtocol": "magical.evaluation.evaluate, or `magical evaluate`",
-}
-
-
-def __getattr__(name: str) -> NoReturn:
-    if name in _REPLACED:
-        raise ImportError(
-            f"magical.{name} belongs to the published package; use {_REPLACED[name]} "
-            "(docs/from-the-published-package.md)"
-        )
-    raise AttributeError(f"module 'magical' has no attribute {name!r}")
-
-
 register_all()
 
 __all__ = [
@@ -57,7 +27,9 @@ __all__ = [
     "Task",
     "__version__",
     "all_env_ids",
+    "env_spec",
     "get_task",
     "parse_env_id",
+    "register_published",
     "register_task",
 ]

@@ -33,10 +33,6 @@ class InvalidStateError(MagicalError, ValueError):
     """A saved environment state that does not fit the environment or is damaged."""
 
 
-class RecordingError(MagicalError, ValueError):
-    """A recording file that is damaged or not in the documented format."""
-
-
 class InvalidTaskError(MagicalError, ValueError):
     """A task that cannot be registered: a name already taken, or fields that do not fit."""
 

@@ -16,9 +16,7 @@ EXTRAS = {
     "lerobot": ("av", "pyarrow"),
     "hub": ("huggingface_hub",),
     "web": ("starlette", "uvicorn", "websockets", "h11"),
-    "window": ("pygame",),
     "ray": ("ray",),
-    "sb3": ("stable_baselines3",),
     "tensorboard": ("tensorboard",),
 }
 

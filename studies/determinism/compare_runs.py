@@ -18,9 +18,9 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from magical.conformance import motions
-from magical.conformance.recordings import DATA
 from magical.scene.poses import FIRST_BLOCK, ROBOT
+from tests.reference import motions
+from tests.reference.recordings import DATA
 
 KINDS = ("drive", "turn", "push", "grip")
 MOTION_STEPS = (1, 3, 5, 10, 20)
@@ -104,7 +104,7 @@ def print_walks(runs: dict[str, Runs], reference: Runs) -> None:
 
 
 def print_limits(nudged: Runs, published: Runs) -> None:
-    """How far nudged motions end up from the same without: what conformance's limits follow."""
+    """How far nudged motions end up from the same without: what tests/reference's limits follow."""
     print("| Motion | Position | Robot's angle | Blocks' angles |")
     print("| --- | --- | --- | --- |")
     for kind in KINDS:

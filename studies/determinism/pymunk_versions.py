@@ -30,7 +30,7 @@ import numpy as np
 import pymunk
 from numpy.typing import NDArray
 
-SOURCES = Path(__file__).parents[2] / "src" / "magical"
+ROOT = Path(__file__).parents[2]
 DECIMALS = 12  # of the poses in the file of first steps
 NUM_ACTIONS = 18
 WALKS = 60  # runs of random actions
@@ -44,8 +44,9 @@ def prepare(*, at_roots: bool) -> None:
     """Make `magical.physics` importable without pymunk 7.3 and compiled code."""
     collections.Sequence = collections.abc.Sequence  # type: ignore[attr-defined]  # pymunk 5.6
     package = types.ModuleType("magical")
-    package.__path__ = [str(SOURCES)]
+    package.__path__ = [str(ROOT / "src" / "magical")]
     sys.modules["magical"] = package
+    sys.path.append(str(ROOT))  # for tests.reference
     plain = types.ModuleType("magical.physics.chipmunk")
     setattr(plain, "c_functions", lambda: None)  # noqa: B010
     setattr(plain, "address", None)  # noqa: B010
@@ -76,10 +77,11 @@ def first_steps() -> dict[str, list[list[float]]]:
 
 def motions(nudges: int) -> dict[str, NDArray[np.float64]]:
     """The recorded motions: name -> poses (1, steps, bodies, 3), or one run for each nudge."""
-    from magical.conformance import motions as recorded
+    from tests.reference import motions as recorded
+    from tests.reference.recordings import DATA
 
     rng = np.random.default_rng(0)
-    data = recorded.load(SOURCES / "conformance" / "data" / "motions.json")
+    data = recorded.load(DATA / "motions.json")
     return {
         f"motion/{name}": np.stack(
             [

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import gymnasium
 import numpy as np
 
-from magical.envs import EnvId
+from magical.envs import EnvId, env_spec
 from magical.envs.seeds import evaluation_seed
 from magical.evaluation import read_entry
 from magical.grouping import group_by
@@ -71,7 +71,7 @@ def decisions(
     belief: Belief, env_id: EnvId, rollouts: Iterable[int]
 ) -> Iterator[tuple[float, bool]]:
     """The belief's first decision in the scenes of evaluation's rollouts."""
-    env, program = gymnasium.make(str(env_id)), env_id.task_spec.program
+    env, program = gymnasium.make(env_spec(env_id)), env_id.task_spec.program
     assert program
     for rollout in rollouts:
         env.reset(seed=evaluation_seed(rollout))

@@ -4,8 +4,8 @@
     python studies/learners/reinforcement.py bc|gail|wgail-gp|al --demos DEMOS --out RUNS
     python studies/learners/reinforcement.py iteration --demos DEMOS --out RUNS
 
-Needs the extras learning, report and, for `ppo`, sb3. Runs that are in RUNS already are resumed or
-only evaluated.
+Needs the extras learning, report and, for `ppo`, Stable-Baselines3. Runs that are in RUNS already
+are resumed or only evaluated.
 """
 
 import argparse
@@ -125,29 +125,22 @@ def trained(config: Config, folder: Path) -> tuple[Policy, Curve]:
 
 
 def train_sb3(config: PPOConfig) -> tuple[Policy, Curve]:
-    """Stable-Baselines3's PPO with the same settings, through the adapter.
+    """Stable-Baselines3's PPO with the same settings.
 
     Its policy and value networks share nothing, and it normalises advantages minibatch by
     minibatch; everything else is alike.
     """
     import torch
     from stable_baselines3 import PPO
-
-    from magical.envs.sb3 import MagicalSB3VecEnv
-    from magical.envs.vector import MagicalVectorEnv
+    from stable_baselines3.common.env_util import make_vec_env
 
     torch.set_num_threads(1)
-    envs = MagicalVectorEnv(
-        [DEMO] * config.ppo.num_envs,
-        workers=config.ppo.workers,
-        observation="state",
-        reward="dense",
-        autoreset_mode="SameStep",
-    )
+    options = {"observation": "state", "reward": "dense"}
+    envs = make_vec_env(DEMO, config.ppo.num_envs, env_kwargs=options)
     curve: list[tuple[int, float]] = []
     model = PPO(
         "MlpPolicy",
-        MagicalSB3VecEnv(envs),
+        envs,
         learning_rate=lambda left: config.ppo.learning_rate * left,
         clip_range=lambda left: config.ppo.clip_range * left,
         n_steps=config.ppo.num_steps,

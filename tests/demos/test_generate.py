@@ -42,20 +42,19 @@ def test_demonstration_matches_the_environment() -> None:
         np.testing.assert_array_equal(state.poses.bodies, trajectory.poses[step])
     assert info["eval_score"] == trajectory.score
     assert (trajectory.demonstrator, trajectory.seed) == ("expert", seed)
-    assert trajectory.metadata["skill"] == 1.0
     assert replay(trajectory).departure == 0.0
 
 
 def test_only_demonstrations_with_the_score_are_kept(
     tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    command = ("--env", ENV, "-n", 4, "--skill", 0.3, "--min-score", 1.0, "--workers", 1)
+    command = ("--env", ENV, "-n", 4, "--perturb", 0.5, "--min-score", 1.0, "--workers", 1)
     status, result = run("generate", *command, "--out", tmp_path / "d")
     (report,) = result["environments"]
     assert (status, report["kept"]) == (0, 4)
     assert report["scores"] == [1.0] * 4
     assert [t.score for t in Dataset.open(tmp_path / "d")] == report["scores"]
-    assert {t.metadata["skill"] for t in Dataset.open(tmp_path / "d")} == {0.3}
+    assert {t.metadata["perturb"] for t in Dataset.open(tmp_path / "d")} == {0.5}
     monkeypatch.setattr("magical.demos.generate.MAX_DROPPED", 1)
     with pytest.raises(DatasetError, match=r"attempts scored less than 1\.1"):
         generate(ENV, 2, tmp_path / "d", min_score=1.1, workers=1)
@@ -91,8 +90,6 @@ def test_a_share_outside_0_to_1_is_refused(
             generate(ENV, 1, out, perturb=float(share), workers=1)
         with pytest.raises(InvalidConfigError, match="perturb: expected a number from 0 to 1"):
             demonstrate(ENV, 0, perturb=float(share))
-        with pytest.raises(InvalidConfigError, match="skill: expected a number from 0 to 1"):
-            generate(ENV, 1, out, skill=float(share), workers=1)
     assert not out.exists()
 
 

@@ -113,7 +113,7 @@ def test_other_environments_and_folders_are_refused(tmp_path: Path, small_datase
 
 def test_play_is_recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(os.environ, "SDL_VIDEODRIVER", "dummy")
-    pygame = pytest.importorskip("pygame", reason="the extra `window` is not installed")
+    pygame = pytest.importorskip("pygame")
     from gymnasium.utils.play import play
 
     env = RecordTrajectories(

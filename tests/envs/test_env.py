@@ -70,7 +70,7 @@ def test_gymnasium_s_time_limit_is_refused() -> None:
 
 
 def test_rendering_without_a_render_mode_is_warned_of() -> None:
-    with pytest.warns(UserWarning, match='with render_mode="rgb_array" or "human"'):
+    with pytest.warns(UserWarning, match='with render_mode="rgb_array"'):
         assert _make().render() is None
 
 

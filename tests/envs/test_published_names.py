@@ -1,5 +1,8 @@
-"""Names of the published package are answered by what replaces them."""
+"""Ids of the published package, and what replaces its option."""
 
+import subprocess
+import sys
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -11,50 +14,37 @@ from magical.envs.vector import MagicalVectorEnv
 from magical.evaluation import published_tasks
 
 PUBLISHED_IDS = [
-    env_id for env_id in magical.all_env_ids(presets=True) if env_id.task in published_tasks()
+    env_id.removeprefix("magical/")
+    for env_id in magical.all_env_ids(presets=True)
+    if env_id.task in published_tasks()
 ]
 
 
-def test_every_published_id_is_an_alias() -> None:
+@pytest.fixture(autouse=True)
+def registered(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gymnasium, "registry", registry := dict(gymnasium.registry))
+    monkeypatch.setattr(gymnasium.envs.registration, "registry", registry)
+    magical.register_published()
+
+
+def test_importing_registers_sixty_environments_with_five_presets(tmp_path: Path) -> None:
+    script = "import gymnasium; before = set(gymnasium.registry); import magical; "
+    script += "print(*(set(gymnasium.registry) - before))"
+    command = [sys.executable, "-c", script]
+    printed = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert sorted(printed.stdout.split()) == sorted(f"magical/{name}" for name in PUBLISHED_IDS)
     assert len(PUBLISHED_IDS) == 360
-    for env_id in PUBLISHED_IDS:
-        old, new = (gymnasium.spec(name) for name in (env_id.removeprefix("magical/"), env_id))
-        assert old.kwargs == {**new.kwargs, "new_id": env_id}
 
 
-def test_an_alias_makes_the_environment_and_names_the_new_id() -> None:
-    with pytest.warns(DeprecationWarning, match="LoRes4E-v0 is now magical/ClusterColour-Demo-LoR"):
-        old: Any = gymnasium.make("ClusterColour-Demo-LoRes4E-v0", horizon=3).unwrapped
+def test_published_ids_make_the_environments_when_asked_for() -> None:
+    for name in PUBLISHED_IDS:
+        assert gymnasium.spec(name).kwargs == gymnasium.spec(f"magical/{name}").kwargs
+    old: Any = gymnasium.make("ClusterColour-Demo-LoRes4E-v0", horizon=3).unwrapped
     new: Any = gymnasium.make("magical/ClusterColour-Demo-LoRes4E-v0").unwrapped
     assert (type(old), old.env_id, old.horizon) == (type(new), new.env_id, 3)
     assert old.observation_spec == new.observation_spec
-    with pytest.warns(DeprecationWarning, match="is now"):
-        gymnasium.make("MakeLine-Demo-v0", render_mode="rgb_array_list").close()
-    with pytest.warns(DeprecationWarning, match="is now magical/MakeLine-Demo-v0") as caught:
-        envs = gymnasium.make_vec("MakeLine-Demo-v0", 2, workers=0, observation="state")
+    envs = gymnasium.make_vec("MakeLine-Demo-v0", 2, workers=0, observation="state")
     assert isinstance(envs, MagicalVectorEnv)
-    assert caught[0].filename == __file__
-
-
-def test_register_envs_says_that_it_does_nothing() -> None:
-    with pytest.warns(DeprecationWarning, match="importing magical registers"):
-        magical.register_envs()
-
-
-@pytest.mark.parametrize(
-    ("name", "replacement"),
-    [
-        ("saved_trajectories", "magical.demos.Dataset"),
-        ("load_demos", "magical.demos.Dataset"),
-        ("try_download_demos", "magical demos download"),
-        ("EvaluationProtocol", "magical.evaluation.evaluate"),
-    ],
-)
-def test_imports_name_the_replacement(name: str, replacement: str) -> None:
-    with pytest.raises(ImportError, match=replacement):
-        getattr(magical, name)
-    with pytest.raises(AttributeError, match="no attribute 'load_demo'"):
-        getattr(magical, "load_" + "demo")
 
 
 def test_the_published_option_names_the_command(capsys: pytest.CaptureFixture[str]) -> None:

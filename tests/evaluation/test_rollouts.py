@@ -361,6 +361,6 @@ def test_an_unknown_action_space_is_named() -> None:
 @pytest.mark.parametrize("workers", [0, 2])
 def test_the_expert_scores_the_same_with_points(workers: int) -> None:
     env_ids = ["magical/MoveToCorner-TestJitter-v0"]
-    policies = [ExpertPolicy(0.7, action_space=name) for name in ("discrete", "continuous")]
+    policies = [ExpertPolicy(0.3, action_space=name) for name in ("discrete", "continuous")]
     first, second = (evaluate(p, env_ids, rollouts=3, workers=workers) for p in policies)
     assert first == second

@@ -1,4 +1,4 @@
-"""Scripted experts: every task, any state, any skill, without looking ahead in the simulator."""
+"""Scripted experts: every task, any state, without looking ahead in the simulator."""
 
 import ast
 import math
@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 
 import magical.experts
-from magical.errors import InvalidConfigError, UnknownNameError
+from magical.errors import UnknownNameError
 from magical.evaluation import evaluate
 from magical.evaluation.expert import ExpertPolicy
 from magical.experts import Memory, expert_for, rollout
-from magical.experts.noise import ActionNoise
 from magical.physics import Simulation
 from magical.scene import NOOP, NUM_ACTIONS, Block, Colour, Pose, Scene, Shape
 from magical.scene.actions import Action, Gripper
@@ -58,7 +57,7 @@ def test_never_raises_in_any_state(task: str) -> None:
         if number % 10 == 0:  # the scene changes, and with it the expert
             variant = spec.variants[number // 10 % len(spec.variants)]
             scene, _ = spec.sample(variant, rng)
-            expert, memory = expert_for(task, rng=rng, skill=float(rng.choice([1.0, 0.3]))), None
+            expert, memory = expert_for(task, rng=rng), None
         action, memory = expert.act(scattered(scene, rng), memory)
         assert action in range(NUM_ACTIONS)
 
@@ -87,34 +86,9 @@ def test_demonstrators_differ_even_in_short_tasks(task: str) -> None:
     assert len(episodes) >= 4
 
 
-def test_lower_skill_scores_lower() -> None:
-    means = [
-        np.mean([rollout("MatchRegions", "Demo", seed, skill=skill).score for seed in range(8)])
-        for skill in (1.0, 0.6, 0.1)
-    ]
-    assert means[0] > means[1] > means[2]
-
-
 def test_a_misspelt_task_is_named() -> None:
     with pytest.raises(UnknownNameError, match="MoveToRegion"):
         expert_for("MoveToRegoin")
-
-
-@pytest.mark.parametrize("starts", ["without memory", "at the first step"])
-def test_a_random_action_is_not_held_into_the_next_episode(starts: str) -> None:
-    scene = get_task("FindDupe").demo
-    first = state_of(Simulation(scene), scene)
-    expected, _ = expert_for("FindDupe", seed=0).act(first)
-    noise = ActionNoise(1.0, np.random.default_rng(0))
-    noise.actions.held, noise.actions.steps_left = (expected + 1) % NUM_ACTIONS, 3
-    expert = replace(expert_for("FindDupe", seed=0), noise=noise)
-    assert expert.act(first, None if starts == "without memory" else Memory())[0] == expected
-
-
-@pytest.mark.parametrize("skill", [-0.1, 1.5, float("nan")])
-def test_skill_out_of_range(skill: float) -> None:
-    with pytest.raises(InvalidConfigError, match="from 0 to 1"):
-        expert_for("FindDupe", seed=0, skill=skill)
 
 
 @pytest.mark.parametrize(

@@ -10,12 +10,12 @@ import numpy as np
 import pymunk
 import pytest
 
-from magical.conformance import motions
-from magical.conformance.recordings import DATA
 from magical.physics import Simulation, chipmunk
 from magical.physics.simulation import compiled
 from magical.scene.actions import NUM_ACTIONS
 from magical.tasks import TASKS
+from tests.reference import motions
+from tests.reference.recordings import DATA
 
 STEPS = 200  # of every task; many start where robot and blocks touch walls or each other
 

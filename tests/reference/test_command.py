@@ -1,82 +1,66 @@
-"""The recordings in the package: `magical conformance` checks them all, and notices damage."""
+"""The recordings: `python -m tests.reference` checks them all, and notices damage."""
 
 import gzip
 import hashlib
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from magical import cli
-from magical.conformance import motions, scenes, scores
-from magical.conformance.recordings import DATA, RECORDINGS
-from magical.errors import RecordingError
 from magical.evaluation import published_tasks
 from magical.tasks import TASKS
+from tests.reference import motions, scenes, scores
+from tests.reference.__main__ import main
+from tests.reference.recordings import DATA, RECORDINGS, RecordingError
 
-Run = Callable[..., tuple[int, list[str], dict[str, Any]]]
 FILES = [(kind, name) for kind, names in RECORDINGS.items() for name in names]
 
 
-@pytest.fixture
-def run(capsys: pytest.CaptureFixture[str]) -> Run:
-    """Runs the command; returns its exit status, the lines it printed, and its JSON."""
-
-    def call(*arguments: object) -> tuple[int, list[str], dict[str, Any]]:
-        status = cli.main(["conformance", *map(str, arguments), "--json"])
-        *lines, last = capsys.readouterr().out.splitlines()
-        return status, lines, json.loads(last)
-
-    return call
-
-
-def test_without_arguments_everything_in_the_package_is_checked(run: Run) -> None:
-    status, lines, result = run()
-    assert status == 0
-    assert [(each["kind"], each["file"]) for each in result["recordings"]] == FILES
-    assert set(result) == {"passed", "recordings"}
-    assert [each["file"] for each in result["recordings"] if not each["passed"]] == []
-    for kind, name in FILES:
-        assert f"{name} ({kind})" in lines
-    compared = {
-        each["file"]: {line["name"] for line in each["lines"]} for each in result["recordings"]
-    }
+def test_without_arguments_every_recording_is_checked(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    titles = [f"{name} ({kind})" for kind, name in FILES]
+    assert [line for line in lines if line in titles] == titles
+    compared: dict[str, set[str]] = {}
+    for line in lines:
+        if line in titles:
+            names = compared.setdefault(line.split()[0], set())
+        elif line.startswith("ok "):
+            names.add(re.split(r"  +", line)[1])
     assert compared["scenes.json.gz"] == compared["scores.json.gz"] == set(published_tasks())
     assert {"drive position", "grip position"} < compared["motions.json"]
     assert {"MakeLine ego", "worst allo frame"} < compared["frames-384.npz"]
+    assert "MISSED" not in "".join(lines)
 
 
-def test_a_kind_alone_is_checked_against_its_files(run: Run) -> None:
-    status, lines, result = run("motions")
-    assert (status, result["kind"], result["file"]) == (0, "motions", "motions.json")
-    assert len(result["lines"]) == len(lines) - 2  # header and rule
-    assert result["recordings"] == [
-        {key: result[key] for key in ("kind", "file", "passed", "lines")}
-    ]
-
-
-def test_a_limit_missed_in_one_recording_fails(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("magical.conformance.motions.GRIP_LIMIT", 0.01)
+def test_a_limit_missed_in_one_recording_fails(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("tests.reference.motions.GRIP_LIMIT", 0.01)
     monkeypatch.setitem(RECORDINGS, "frames", ())
     monkeypatch.setitem(RECORDINGS, "scenes", ())
-    status, _, result = run()
-    assert (status, result["passed"]) == (1, False)
-    assert {each["kind"]: each["passed"] for each in result["recordings"]} == {
-        "motions": False,
-        "scores": True,
-    }
+    assert main([]) == 1
+    motions_table, scores_table = capsys.readouterr().out.split("scores.json.gz (scores)")
+    assert "MISSED" in motions_table
+    assert "MISSED" not in scores_table
 
 
-@pytest.mark.parametrize("arguments", [[], ["frames"]])
-def test_out_needs_a_single_recording(
-    arguments: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_a_file_without_results_is_computed_and_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    out = tmp_path / "out"
-    assert cli.main(["conformance", *arguments, "--out", str(out)]) == 2
-    assert "expected a single recording, found frames-96.npz" in capsys.readouterr().err
-    assert not out.exists()
+    data, out = tmp_path / "motions.json", tmp_path / "out.json"
+    motion = {"robot": [[0.0, 0.0], 0.0], "blocks": [], "actions": [0]}
+    data.write_text(json.dumps({"drive-still": motion}))
+    assert main(["motions", str(data), str(out)]) == 0
+    assert len(json.loads(out.read_text())["drive-still"]["robot_pose"]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert "nothing compared" in captured.err
+    assert main(["motions", str(tmp_path / "missing")]) == 1
+    assert "missing" in capsys.readouterr().err
 
 
 def test_every_data_file_has_its_sum_and_its_kind() -> None:

@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from magical.conformance import frames
-from magical.conformance.recordings import DATA
-from magical.errors import RecordingError
 from magical.evaluation import published_tasks
 from magical.scene import View
 from magical.tasks import get_task
+from tests.reference import frames
+from tests.reference.recordings import DATA, RecordingError
 
 ROUNDING = 0.01  # of 255: single samples on an edge, which rounding puts on either side
 

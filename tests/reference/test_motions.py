@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from magical.conformance import motions
-from magical.conformance.recordings import DATA
-from magical.errors import RecordingError
+from tests.reference import motions
+from tests.reference.recordings import DATA, RecordingError
 
 
 @pytest.fixture(scope="module")

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from magical.conformance import scenes
-from magical.conformance.recordings import DATA, scene_of
 from magical.envs import parse_env_id
 from magical.evaluation import published_tasks
 from magical.scene import Poses
 from magical.tasks import TASKS, get_task, placement
+from tests.reference import scenes
+from tests.reference.recordings import DATA, scene_of
 from tests.tasks.placement_rules import check_placement, enclosed_blocks
 
 RECORDED_ROUNDING = 3e-5  # units and rad: five decimals, of several coordinates together

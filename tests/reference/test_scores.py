@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from magical.conformance import scores
-from magical.conformance.recordings import DATA
 from magical.evaluation import published_tasks
 from magical.tasks import TASKS
+from tests.reference import scores
+from tests.reference.recordings import DATA
 
 
 @pytest.fixture(scope="module")

@@ -48,7 +48,7 @@ def test_the_suites_programs_are_all_different_and_none_of_the_papers() -> None:
 
 
 def test_environments_of_the_suite_are_made_by_their_ids() -> None:
-    env = gymnasium.make(f"magical/{task_name(HELD_OUT[0])}-TestAll-LoRes4E-v0")
+    env = gymnasium.make(magical.env_spec(f"magical/{task_name(HELD_OUT[0])}-TestAll-LoRes4E-v0"))
     observation, _ = env.reset(seed=0)
     assert observation in env.observation_space
     assert task_name(HELD_OUT[0]) not in list(TASKS)  # there are too many to iterate over

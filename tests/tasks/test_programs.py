@@ -4,8 +4,6 @@ import math
 
 import pytest
 
-from magical.conformance import scores
-from magical.conformance.recordings import DATA
 from magical.errors import InvalidProgramError
 from magical.scene import Block, Colour, Pose, Poses, Region, Scene, Shape
 from magical.scene.constants import BLOCK_SIZE, ROBOT_RADIUS
@@ -13,6 +11,8 @@ from magical.tasks import TASKS, Task
 from magical.tasks.programs import Lined, instruction, parse, problem, progress
 from magical.tasks.programs.goals import UNFINISHED, ways_at_start
 from magical.tasks.programs.states import States
+from tests.reference import scores
+from tests.reference.recordings import DATA
 from tests.tasks.conftest import Move
 
 PAPER = [task for task in TASKS.values() if task.section]

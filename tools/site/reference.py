@@ -36,7 +36,6 @@ MODULES = {
     "magical.learning.config": "Configurations",
     "magical.runs": "Run folders",
     "magical.experiments.status": "Plans in progress",
-    "magical.conformance": "Comparison with recordings",
 }
 COLAB = "https://colab.research.google.com/github"
 WIDTH = "80"  # columns of a command's help

@@ -17,7 +17,7 @@ CODE = re.compile(r"^ *```")
 ELSEWHERE = ("https://", "http://", "mailto:")
 SINGLE = (  # pages outside the folders of pages
     *("CHANGELOG.md", "CONTRIBUTING.md", "entries/README.md", "examples/plugin/README.md"),
-    "src/magical/conformance/data/README.md",
+    "tests/reference/data/README.md",
 )
 PYTHON, NOTEBOOK, PAGE = ".py", ".ipynb", ".md"
 

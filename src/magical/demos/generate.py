@@ -40,7 +40,6 @@ def generate(
     *,
     seed: int = 0,
     first: int = 0,
-    skill: float = 1.0,
     perturb: float = 0.0,
     min_score: float = 0.0,
     workers: int | None = None,
@@ -57,7 +56,6 @@ def generate(
         out: the dataset's folder, created if it does not exist.
         seed: seed of the series of attempts.
         first: index of the first attempt, to continue a series.
-        skill: 1 for the expert at its best; below 1, it makes mistakes.
         perturb: share of steps with a random action; the `labels` to imitate stay the expert's.
         min_score: attempts with a lower score (by the appendix's rule) are dropped.
         workers: number of processes (default: one per core). The result does not depend on it.
@@ -66,7 +64,7 @@ def generate(
 
     Raises:
         DatasetError: too few attempts reach the score, or the dataset cannot be written.
-        InvalidConfigError: `skill` or `perturb` is not between 0 and 1.
+        InvalidConfigError: `perturb` is not between 0 and 1.
         ValueError: `number` is less than 1, or `workers` is negative.
         InvalidTaskError, NoExpertError: the workers cannot import the task, or it has no expert.
         UnknownNameError: there is no such environment or action space.
@@ -75,12 +73,11 @@ def generate(
     """
     parsed, name = parse_env_id(env_id), action_spec(action_space).name
     check_share("perturb", perturb)
-    check_share("skill", skill)
     if number < 1:
         raise ValueError(f"number: expected at least 1, found {number}")
     workers = checked_workers(workers)
     modules = modules_of(parsed.task) if workers > 1 else []
-    attempt = with_tasks(partial(_attempt, parsed, seed, skill, perturb, name), modules)
+    attempt = with_tasks(partial(_attempt, parsed, seed, perturb, name), modules)
     with closing(map_in_processes(attempt, count(first), workers)) as results:
         return _keep(results, number, DatasetWriter(out), env_id, min_score, progress)
 
@@ -99,7 +96,7 @@ def _keep(
         if dropped > MAX_DROPPED * number:
             raise DatasetError(
                 f"{env_id}: {dropped} attempts scored less than {min_score} and {len(scores)} did "
-                "not; give a lower score, a higher skill or a lower share of perturbed steps"
+                "not; give a lower score or a lower share of perturbed steps"
             )
         entry, raw = next(attempts)
         if entry.final_score < min_score:
@@ -112,18 +109,18 @@ def _keep(
     return GenerateReport(env_id, len(scores), dropped, tuple(scores))
 
 
-def demonstrate(env_id: str, seed: int, skill: float = 1.0, *, perturb: float = 0.0) -> Trajectory:
+def demonstrate(env_id: str, seed: int, *, perturb: float = 0.0) -> Trajectory:
     """One episode of the scripted expert, in the scene of `reset(seed=seed)`.
 
-    `skill` and `perturb` are as in `generate`.
+    `perturb` is as in `generate`.
 
     Raises:
-        InvalidConfigError: `skill` or `perturb` is not between 0 and 1.
+        InvalidConfigError: `perturb` is not between 0 and 1.
         NoExpertError: the task has no expert.
         InvalidSceneError: the sampled scene does not fit the task.
     """
     parsed = parse_env_id(env_id)
-    episode = rollout(parsed.task, parsed.variant, seed, skill=skill, perturb=perturb)
+    episode = rollout(parsed.task, parsed.variant, seed, perturb=perturb)
     return Trajectory.from_poses(
         parsed,
         episode.scene,
@@ -133,17 +130,16 @@ def demonstrate(env_id: str, seed: int, skill: float = 1.0, *, perturb: float = 
         seed=seed,
         demonstrator="expert",
         expert_actions=episode.expert_actions if perturb else None,
-        metadata={"skill": skill, "perturb": perturb, **provenance()},
+        metadata={"perturb": perturb, **provenance()},
     )
 
 
 def _attempt(
     env_id: EnvId,
     seed: int,
-    skill: float,
     perturb: float,
     action_space: ActionSpaceName,
     attempt: int,
 ) -> tuple[ManifestEntry, bytes]:
-    trajectory = demonstrate(env_id, episode_seed(seed, attempt), skill, perturb=perturb)
+    trajectory = demonstrate(env_id, episode_seed(seed, attempt), perturb=perturb)
     return encoded(trajectory.with_action_space(action_space))

@@ -13,7 +13,6 @@ from magical.envs.episode import Episode, Reward, Scores, checked_paraphrase
 from magical.envs.ids import EnvId
 from magical.envs.keys import KEYS_TO_ACTION
 from magical.envs.saved_state import parse_state, warn_of_departure
-from magical.envs.window import Window
 from magical.errors import (
     InvalidConfigError,
     NotPicklableError,
@@ -65,8 +64,8 @@ class MagicalEnv(gym.Env[Any, Any]):
         horizon: control steps in an episode; by default the task's; "published" takes the published
             code's, which differs for some tasks.
         reward: "none", "score" or "dense".
-        render_mode: "rgb_array" (both views side by side), "human" (the same in a window, at the
-            control rate; needs the extra `window`) or None.
+        render_mode: "rgb_array" (both views side by side) or None; for a window see
+            `gymnasium.wrappers.HumanRendering`.
         instruction: "attributes" names blocks by colour and shape in `info["instruction"]`; "task"
             only says what the task is about.
         paraphrase: which of the instruction's wordings.
@@ -76,12 +75,11 @@ class MagicalEnv(gym.Env[Any, Any]):
         UnknownNameError: there is no such task, variant, observation, reward, render mode,
             instruction or action space.
         InvalidConfigError, ObservationError: an invalid horizon, paraphrase or observation.
-        MissingDependencyError: "human" without pygame.
     """
 
     # A class attribute, as Gymnasium reads it, although Gymnasium declares it on instances.
     metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]
-        "render_modes": ["rgb_array", "human"],
+        "render_modes": ["rgb_array"],
         "render_fps": int(CONTROL_RATE),
     }
 
@@ -106,14 +104,9 @@ class MagicalEnv(gym.Env[Any, Any]):
         self._episode = Episode(self.task, variant, self.observation_spec, horizon, reward)
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise UnknownNameError(
-                f"render mode {quoted(render_mode)} is unknown; expected rgb_array, human or None"
+                f"render mode {quoted(render_mode)} is unknown; expected rgb_array or None"
             )
         self.render_mode = render_mode
-        self._window = (
-            Window(str(self.env_id), self.metadata["render_fps"])
-            if render_mode == "human"
-            else None
-        )
         self.observation_space = self.observation_spec.space
         self.action_spec = action_spec(action_space)
         self.action_space: spaces.Space[Any] = self.action_spec.space
@@ -153,7 +146,6 @@ class MagicalEnv(gym.Env[Any, Any]):
         self._running = False
         self._episode.start(self.np_random, options)
         self._running = True
-        self._show()
         words = self.task.instruction(
             self._episode.simulation.scene, paraphrase=self._paraphrase, attributes=self._named
         )
@@ -177,35 +169,20 @@ class MagicalEnv(gym.Env[Any, Any]):
         truncated = self._episode.step(self.action_spec.checked(action))
         self._running = not truncated
         reward, scores = self._episode.outcome(truncated)
-        self._show()
         return copy_arrays(self._episode.observer.out), reward, False, truncated, score_info(scores)
 
-    def render(self) -> Any:
+    def render(self) -> NDArray[np.uint8] | None:
         """Both views side by side, egocentric left: uint8 (384, 768, 3).
 
-        Returns `None` with "human", where `reset` and `step` show each frame, and without a render
-        mode, with a warning.
+        Returns `None` without a render mode, with a warning.
         """
         if self.render_mode is None:
-            gym.logger.warn(
-                'no frames: make the environment with render_mode="rgb_array" or "human"'
-            )
-        return self._frame() if self.render_mode == "rgb_array" else None
-
-    def close(self) -> None:
-        """Close the window, if there is one."""
-        if self._window is not None:
-            self._window.close()
-
-    def _frame(self) -> NDArray[np.uint8]:
+            gym.logger.warn('no frames: make the environment with render_mode="rgb_array"')
+            return None
         from magical.render import render_views  # imports numba: only when something is rendered
 
         self._require_episode("render")
         return render_views(self._episode.simulation.scene, self._episode.poses)
-
-    def _show(self) -> None:
-        if self._window is not None:
-            self._window.show(self._frame())
 
     def state(self) -> State:
         """The true state, for experts and privileged learners."""

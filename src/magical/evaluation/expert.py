@@ -16,13 +16,12 @@ class ExpertPolicy:
     """Each environment's scripted expert, with a strategy sampled for every episode.
 
     Args:
-        skill: at 1 the expert acts as well as it can; below 1 it makes mistakes.
         random_share: the share of each episode, from its start, in which actions are uniformly
             random; the expert then takes over from the state that this led to.
         action_space: with "continuous", the same actions are returned as points of that space.
 
     Raises:
-        InvalidConfigError: a share or skill outside [0, 1].
+        InvalidConfigError: a share outside [0, 1].
         NoExpertError: a task has no expert; raised by the first `act`.
         UnknownNameError: an unknown action space.
     """
@@ -33,13 +32,10 @@ class ExpertPolicy:
 
     def __init__(
         self,
-        skill: float = 1.0,
         random_share: float = 0.0,
         action_space: ActionSpaceName = "discrete",
     ) -> None:
-        check_share("skill", skill)
         check_share("random_share", random_share)
-        self.skill = skill
         self.random_share = random_share
         self.action_space = action_space
         self._spec = action_spec(action_space)
@@ -52,7 +48,7 @@ class ExpertPolicy:
         if new := [row for row in range(len(env_ids)) if row not in self._experts]:
             seeds = rng.integers(2**31, size=len(env_ids)).tolist()
             for row in new:
-                expert = expert_for(env_ids[row].task, seed=seeds[row], skill=self.skill)
+                expert = expert_for(env_ids[row].task, seed=seeds[row])
                 self._experts[row] = EpisodeExpert(expert)
         actions = np.empty(len(env_ids), np.int64)
         if self.random_share:
@@ -67,9 +63,9 @@ class ExpertPolicy:
         for row in np.flatnonzero(mask).tolist():
             self._experts.pop(row, None)
 
-    def __reduce__(self) -> tuple[type["ExpertPolicy"], tuple[float, float, ActionSpaceName]]:
+    def __reduce__(self) -> tuple[type["ExpertPolicy"], tuple[float, ActionSpaceName]]:
         """A copy for another process has the settings, and no episode in progress."""
-        return ExpertPolicy, (self.skill, self.random_share, self.action_space)
+        return ExpertPolicy, (self.random_share, self.action_space)
 
     def modules(self, tasks: Sequence[str]) -> list[str]:
         """The modules that a new process must import to have the tasks' experts."""

@@ -16,7 +16,6 @@ One decision, in `expert`:
        the first action of the best of all short motions under a motion model.
     4. Otherwise it approaches (`steering.approach`): it drives to the gate behind the best side,
        around other blocks (`paths`), then straight ahead.
-    5. Below skill 1, action noise perturbs the action, and some moves (`noise`).
 If an action other than its own is executed (perturbed demonstrations, DAgger), the expert takes
 over from the next state.
 

@@ -10,7 +10,6 @@ from magical.experts.geometry import DRIVING_CLEARANCE, WORKING_DISTANCE, segmen
 from magical.experts.goals import get_planner
 from magical.experts.grasp import best_side, is_between_fingers
 from magical.experts.memory import Memory, note_driving_step, note_held_step, note_motion
-from magical.experts.noise import ActionNoise
 from magical.experts.planning import Move, Planner, Strategy
 from magical.experts.state_view import StateView
 from magical.experts.steering import approach, back_off, escape, remaining_distance, travel
@@ -50,7 +49,6 @@ class Expert:
     task: Task
     planner: Planner
     strategy: Strategy
-    noise: ActionNoise | None = None
 
     def act(self, state: State, memory: Memory | None = None) -> tuple[int, Memory]:
         """Decide on the next action.
@@ -62,15 +60,10 @@ class Expert:
         Returns:
             The action's id, and the memory for the next call.
         """
-        starts, memory = memory is None or state.step == 0, memory or Memory()
+        memory = memory or Memory()
         if self.task.validate_fn(state.scene):
             return NOOP, memory
-        action, memory = self._decide(StateView.from_state(state), memory)
-        if self.noise is not None:
-            if starts:  # an action of another episode may still be held
-                self.noise.actions.steps_left = 0
-            action = self.noise.actions.execute(action)
-        return action, memory
+        return self._decide(StateView.from_state(state), memory)
 
     def _decide(self, view: StateView, memory: Memory) -> tuple[int, Memory]:
         """Escape if the robot is stuck; otherwise choose a move if there is none, and make it."""
@@ -100,10 +93,7 @@ class Expert:
         if not plan.moves:
             return replace(memory, idle_steps=REVIEW_STEPS)
         move = min(plan.moves, key=lambda move: self._cost(view, move, memory))
-        if self.noise is None:
-            return replace(memory, move=move)
-        move, detour = self.noise.perturb_goal(move), self.noise.sample_detour()
-        return replace(memory, move=move, escape_steps=detour)
+        return replace(memory, move=move)
 
     def _cost(self, view: StateView, move: Move, memory: Memory) -> float:
         """Approximate control steps that a move takes, plus the costs of making it now."""
@@ -201,25 +191,19 @@ def expert_for(
     *,
     seed: int | np.random.SeedSequence | None = None,
     rng: np.random.Generator | None = None,
-    skill: float = 1.0,
 ) -> Expert:
     """The expert of a task, with a sampled strategy.
 
     Args:
         task: the task's name, such as MoveToCorner.
-        seed: seed of the strategy and the action noise; None: random. For the demonstrator of an
-            episode, `strategy_seed`, not the seed that the scene is sampled with.
-        rng: generator from which to sample them instead, if given.
-        skill: from 0 to 1. Below 1 the expert makes mistakes: random actions, detours, and
-            sometimes wrong goals.
+        seed: seed of the strategy; None: random. For the demonstrator of an episode,
+            `strategy_seed`, not the seed that the scene is sampled with.
+        rng: generator from which to sample it instead, if given.
 
     Raises:
         UnknownNameError: there is no such task.
         NoExpertError: the task has no expert.
-        InvalidConfigError: the skill is not between 0 and 1.
     """
     spec, planner = get_task(task), get_planner(task)
     rng = np.random.default_rng(seed) if rng is None else rng
-    strategy = Strategy.sample(rng)
-    noise = None if skill == 1.0 else ActionNoise(skill, rng)
-    return Expert(spec, planner, strategy, noise)
+    return Expert(spec, planner, Strategy.sample(rng))

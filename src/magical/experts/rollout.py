@@ -58,7 +58,6 @@ def rollout(
     variant: str = "Demo",
     seed: int | None = None,
     *,
-    skill: float = 1.0,
     perturb: float = 0.0,
 ) -> ExpertEpisode:
     """Roll out the expert in the episode that the environment's `reset(seed=seed)` starts.
@@ -67,11 +66,10 @@ def rollout(
         task: the task's name.
         variant: the variant's name, such as TestLayout.
         seed: seed of the scene, the dynamics, the strategy and the random actions; None: random.
-        skill: from 0 to 1, as in `expert_for`.
         perturb: share of steps, from 0 to 1, with a random action in place of the expert's.
 
     Raises:
-        InvalidConfigError: the skill or the share is not between 0 and 1.
+        InvalidConfigError: the share is not between 0 and 1.
         UnknownNameError: the task or variant does not exist.
         NoExpertError: the task has no expert.
         InvalidSceneError: the sampled scene does not fit the task.
@@ -79,7 +77,7 @@ def rollout(
     spec, rng = get_task(task), np_random(seed)[0]
     scene, dynamics = spec.sample(variant, rng)
     spec.validate(scene)
-    expert = EpisodeExpert(expert_for(task, seed=strategy_seed(variant, seed), skill=skill))
+    expert = EpisodeExpert(expert_for(task, seed=strategy_seed(variant, seed)))
     random_actions = perturbation(perturb, rng.spawn(1)[0])
     simulation = Simulation(scene, dynamics)
     chosen, tables = [], [simulation.read()]

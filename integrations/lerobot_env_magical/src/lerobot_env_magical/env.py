@@ -7,7 +7,7 @@ import numpy as np
 from gymnasium import spaces
 
 from lerobot_env_magical.observation import ROBOT_STATE, ViewsAndRobot
-from magical.envs import EnvId, parse_env_id
+from magical.envs import EnvId, env_spec, parse_env_id
 from magical.scene.constants import CONTROL_RATE
 
 GYM_ID = "lerobot_env_magical/Magical-v0"
@@ -44,7 +44,7 @@ class LeRobotMagicalEnv(gymnasium.Env[dict[str, Any], Any]):
         parsed: EnvId = parse_env_id(env_id if "/" in env_id else f"magical/{env_id}")
         self.render_mode = render_mode
         made: Any = gymnasium.make(
-            parsed,
+            env_spec(parsed),
             observation=ViewsAndRobot(size),
             reward="score",
             render_mode=render_mode,

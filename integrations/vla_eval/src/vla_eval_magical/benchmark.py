@@ -10,7 +10,7 @@ from vla_eval.benchmarks.base import StepBenchmark, StepResult
 from vla_eval.specs import IMAGE_RGB, LANGUAGE, DimSpec
 from vla_eval.types import Action, EpisodeResult, Observation, Task
 
-from magical.envs import EnvId, parse_env_id
+from magical.envs import EnvId, env_spec, parse_env_id
 from magical.envs.seeds import evaluation_seed
 from magical.evaluation import environments
 from magical.observe import PixelSpec
@@ -75,7 +75,7 @@ class MagicalBenchmark(StepBenchmark):  # type: ignore[misc]
         env_id = parse_env_id(task["env_id"])
         if self._env is None or self._env.unwrapped.env_id != env_id:
             self.cleanup()
-            self._env = gymnasium.make(env_id, **self._options)
+            self._env = gymnasium.make(env_spec(env_id), **self._options)
         seed = evaluation_seed(task.get("episode_idx", 0), self._seed)
         observation, info = self._env.reset(seed=seed)
         self._instruction = info["instruction"]

@@ -94,8 +94,6 @@ def _generate(parser: argparse.ArgumentParser) -> None:
     meaning = "number of the first attempt, to continue a series"
     add_count(parser, "--first", meaning, default=0, least=0, metavar="K")
     add_number(parser, "--min-score", "discard demonstrations that score less", most=1)
-    meaning = "the experts' skill, 0 to 1; below 1 they are deliberately worse"
-    add_number(parser, "--skill", meaning, default=1.0, most=1)
     meaning = (
         "share of steps, 0 to 1, in which a random action replaces the expert's; learners still "
         "imitate the expert's"

@@ -23,7 +23,7 @@ def run_generate(args: argparse.Namespace) -> int:
     from magical.progress import ProgressBar
 
     ids = [parse_env_id(env_id).without_preset for env_id in args.env]
-    names = ("seed", "first", "skill", "perturb", "min_score", "action_space", "workers")
+    names = ("seed", "first", "perturb", "min_score", "action_space", "workers")
     options = {name: getattr(args, name) for name in names}
     try:
         with ProgressBar("generate", args.n * len(ids)) as bar:

@@ -176,7 +176,6 @@ def _provenance(dataset: Dataset) -> dict[str, str]:
             for n in sorted({n for v in versions for n in v})
         },
         "Platform": _values(records, "platform"),
-        "Skill of the expert": _values(records, "skill"),
         "Share of random actions": _values(records, "perturb"),
     }
     return {name: value for name, value in found.items() if value}

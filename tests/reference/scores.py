@@ -5,9 +5,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from magical.conformance.recordings import Comparison, expecting, read_json, scene_of, write_json
 from magical.scene import Poses
 from magical.tasks import get_task
+from tests.reference.recordings import Comparison, expecting, read_json, scene_of, write_json
 
 LIMIT = 1e-9  # difference of a score
 RULES = ("score", "published_code_score")

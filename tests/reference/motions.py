@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.conformance.recordings import Comparison, expecting, read_json, write_json
 from magical.grouping import group_by
 from magical.physics import Simulation
 from magical.scene.actions import NUM_ACTIONS
 from magical.scene.scene import Block, Pose, Scene
 from magical.scene.vocabulary import Colour
+from tests.reference.recordings import Comparison, expecting, read_json, write_json
 
 FIRST_STEPS = 3
 # Poses in the first steps (units or rad): twice the recordings' rounding.

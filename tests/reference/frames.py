@@ -9,11 +9,11 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.conformance.recordings import Comparison, expecting, scene_of
 from magical.envs.ids import parse_env_id
 from magical.files import write_atomically
 from magical.render import Renderer
 from magical.scene import Poses, Scene, View
+from tests.reference.recordings import Comparison, expecting, scene_of
 
 LIMIT = 0.25  # of 255: mean absolute difference over the frames of a task without regions
 REGION_LIMIT = 0.5  # of 255: the same for a task with regions

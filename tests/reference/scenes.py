@@ -14,11 +14,11 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from magical.conformance.recordings import Comparison, expecting, read_json, scene_of, write_json
 from magical.envs.ids import parse_env_id
 from magical.scene import Dynamics, Scene
 from magical.tasks import get_task
 from magical.tasks.axes import DEMO
+from tests.reference.recordings import Comparison, expecting, read_json, scene_of, write_json
 
 LIMIT = 1e-4  # for the smallest p-value, after Bonferroni correction over all tests
 ROUNDING = 2e-5  # units and rad: recordings are rounded to five decimals

@@ -1,4 +1,4 @@
-"""The package's recordings: where they are, reading and writing files, comparisons."""
+"""Recordings of the published environments: their files, reading, writing, comparisons."""
 
 import gzip
 import json
@@ -10,17 +10,20 @@ from typing import Any, Self
 
 import msgspec
 
-from magical.errors import RecordingError
 from magical.files import write_atomically
 from magical.scene import Scene
 
-DATA = Path(__file__).parent / "data"  # the recordings in the package
+DATA = Path(__file__).parent / "data"
 RECORDINGS = {
     "frames": ("frames-96.npz", "frames-384.npz"),
     "motions": ("motions.json",),
     "scenes": ("scenes.json.gz",),
     "scores": ("scores.json.gz",),
 }
+
+
+class RecordingError(ValueError):
+    """A recording file that is damaged or not in the documented format."""
 
 
 @dataclass(frozen=True, slots=True)
