@@ -123,7 +123,7 @@ class _ParseOptions(argparse.Action):
 def _add_options(parser: argparse.ArgumentParser, algorithm: str) -> None:
     from magical.learning import find_algorithm
     from magical.learning.config import options
-    from magical.learning.trackers import tracker_names
+    from magical.learning.trackers import TRACKERS
 
     kind = find_algorithm(algorithm).config
     parser.description = (kind.__doc__ or "").splitlines()[0]
@@ -148,9 +148,9 @@ def _add_options(parser: argparse.ArgumentParser, algorithm: str) -> None:
         help="preset for all options that are not given (default: paper)",
     )
     add_count(parser, "--stop-after", "save a checkpoint and stop after N more batches or updates")
-    trackers = f"{{{','.join(tracker_names())}}}"
-    meaning = "also log the metrics to these trackers; or module:NAME"
-    add_several(parser, "--track", meaning, trackers, default=[])
+    meaning = "also log the metrics to these trackers"
+    shown = f"{{{','.join(TRACKERS)}}}"
+    add_several(parser, "--track", meaning, shown, choices=TRACKERS, default=[])
     add_json(parser)
     parser.set_defaults(json=False)
     for option in options(kind):

@@ -85,8 +85,7 @@ def train(
         progress: show a progress bar on standard error.
         callback: called as `callback(step, metrics)` after each line of `metrics.jsonl`. An
             exception from it ends training; the run can be resumed from its newest checkpoint.
-        track: trackers that also receive the metrics: `tensorboard` (needs the extra), `trackio`,
-            `wandb`, `mlflow`, or `module:NAME`.
+        track: trackers that also receive the metrics: `tensorboard` (needs the extra), `wandb`.
 
     Raises:
         RunFolderError: the folder holds something else, or is in use, or the disk is full.
