@@ -227,7 +227,7 @@ def test_frames_are_resized_for_a_model_of_a_fixed_size(
 def test_which_networks_are_pretrained(timm: FakeTimm) -> None:
     assert sources_of("timm:tiny.tag") == ("extra data",)
     assert sources_of(__name__ + ":ENCODER") == ("extra data",)
-    assert sources_of("small") == ()
+    assert sources_of("light") == ()
 
 
 @pytest.mark.parametrize("name", ["huge", "tiny.other", "hf_hub:somebody/model"])

@@ -363,7 +363,7 @@ def test_what_cannot_be_fine_tuned_is_refused(demos: Path, tmp_path: Path) -> No
         ({"init_from": str(tmp_path / "once")}, "that was itself not fine-tuned"),
         ({"observation": "LoRes4A"}, "expected a run with the observation LoRes4A"),
         ({"conventions": "published"}, "expected a run with the conventions published"),
-        ({"network": "small"}, "expected a run with the network small, found"),
+        ({"network": "light"}, "expected a run with the network light, found"),
     ):
         with pytest.raises(InvalidConfigError, match=message):
             train(once.replace(**changed), tmp_path / "refused")
