@@ -305,21 +305,6 @@ def test_failed_runs_are_left_only_where_they_are_tried_again(
         assert list(found.lines())[1].startswith(f"time left, one run at a time: {left}")
 
 
-def test_a_first_run_that_has_changed_since_is_noticed(
-    planned: Planned, inline: Started, out: Path, finished: Path, tmp_path: Path
-) -> None:
-    one, other = (finished / "runs" / run.folder for run in planned())
-    first = Path(shutil.copytree(one, tmp_path / "first"))
-    runs = planned(("batches = 6", f'init_from = "{first}", batches = 6'))
-    assert execute(runs[:1], out).counts["done"] == 1
-    shutil.copy(other / "checkpoint.safetensors", first)
-    for some in (runs, runs[:1]):  # one waits; all are done
-        with pytest.raises(ResultsError, match=f"a different checkpoint of {first}"):
-            execute(some, out)
-    shutil.rmtree(first)
-    assert execute(runs[:1], out).complete
-
-
 def test_runs_take_turns_on_the_visible_gpus(
     planned: Planned, out: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
