@@ -155,19 +155,16 @@ def test_an_interrupted_run_resumes_from_its_checkpoint(
     assert scores_of(out) == scores_of(finished)
 
 
-def test_a_run_with_a_damaged_checkpoint_resumes_from_the_one_before(
-    planned: Planned, inline: Started, copied: Path, finished: Path
+def test_a_run_with_a_damaged_checkpoint_fails_and_keeps_it(
+    planned: Planned, inline: Started, copied: Path
 ) -> None:
-    (first, second) = planned()
-    folder = copied / "runs" / first.folder
+    (run, _) = planned()
+    folder = copied / "runs" / run.folder
     (folder / "result.json").unlink()
-    (folder / "scores.csv").unlink()
-    checkpoint = folder / "checkpoint.safetensors"
-    checkpoint.unlink()  # it may share its contents with the previous one
-    checkpoint.write_bytes(b"damaged")
-    assert execute([first, second], copied).complete
-    assert [run.seed for run in inline] == [0]
-    assert scores_of(copied) == scores_of(finished)
+    (folder / "checkpoint.safetensors").write_bytes(b"damaged")
+    assert execute([run], copied).counts["failed"] == 1
+    assert "checkpoint.safetensors is damaged" in results_of(copied)[run.folder]["error"]
+    assert (folder / "checkpoint.safetensors").read_bytes() == b"damaged"
 
 
 def test_checkpoints_of_another_network_are_left_as_they_are(
@@ -176,13 +173,12 @@ def test_checkpoints_of_another_network_are_left_as_they_are(
     (run, _) = planned()
     folder = copied / "runs" / run.folder
     (folder / "result.json").unlink()
-    files = [folder / "checkpoint.safetensors", folder / "previous-checkpoint.safetensors"]
-    before = [file.read_bytes() for file in files]
+    before = (folder / "checkpoint.safetensors").read_bytes()
     made = bc.make_policy
     monkeypatch.setattr(bc, "make_policy", lambda config: nn.Sequential(made(config)))
     assert execute([run], copied).counts["failed"] == 1
     assert "the checkpoint is of another network" in results_of(copied)[run.folder]["error"]
-    assert [file.read_bytes() for file in files] == before
+    assert (folder / "checkpoint.safetensors").read_bytes() == before
 
 
 def test_what_a_killed_process_left_does_not_stand_in_the_way(

