@@ -41,8 +41,9 @@ def opened_trackers(
 
         def log(step: int, metrics: Mapping[str, float | str]) -> None:
             numbers = {name: value for name, value in metrics.items() if not isinstance(value, str)}
-            for name, value in numbers.items() if writer else ():
-                writer.add_scalar(name, value, step)
+            if writer:
+                for name, value in numbers.items():
+                    writer.add_scalar(name, value, step)
             if session and numbers:
                 session.log(numbers, step=step)
 
