@@ -56,6 +56,7 @@ from studies.plan_results import LEADERBOARD
 
 COLLECTED = "collected"  # key in `plan.json`: what is known about the runs
 VARIED = ("tasks", "seed")  # settings in which runs of a method differ
+LEFT = {"init_from": ""}  # options that are no more, with the value that does nothing
 DIGITS = 10  # hexadecimal digits of a digest of settings
 
 
@@ -71,7 +72,7 @@ class Collected:
             key of the run's settings, by run folder.
         failed: the error of each run that failed.
         settings: the settings of runs, except tasks and seed, by digest.
-        first_runs: digests of the checkpoints from which runs were fine-tuned, by their folders.
+        first_runs: empty; plans had fine-tuned runs once.
         entries: entries by `runs/FOLDER` and `runs/FOLDER/leaderboard`.
     """
 
@@ -83,6 +84,12 @@ class Collected:
     settings: dict[str, dict[str, Any]] = field(default_factory=dict)
     first_runs: dict[str, str] = field(default_factory=dict)
     entries: dict[str, Entry] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for settings in self.settings.values():
+            config = settings["config"]
+            for name in [name for name, value in LEFT.items() if config.get(name) == value]:
+                del config[name]
 
     @classmethod
     def read(cls, folder: Path) -> "Collected":
@@ -152,8 +159,8 @@ def collect(
         stated: `looks` and `dataset`, passed to `_entry`.
 
     Raises:
-        ResultsError: a source is not a results folder, or the version, the demonstrations or the
-            checkpoints of its runs differ from those collected before.
+        ResultsError: a source is not a results folder, or the version or the demonstrations of its
+            runs differ from those collected before.
     """
     planned = {run.folder: run for run in planned_runs(read_plan(plan))}
     collected = Collected.read(out)
@@ -242,7 +249,7 @@ def _entry(folder: Path, version: str, looks: int | None = None, dataset: str = 
 
 
 def _require_same(source: Path, collected: Collected, out: Path) -> None:
-    """Note a results folder's version, demonstrations and checkpoints, which must not differ."""
+    """Note a results folder's version and demonstrations, which must not differ."""
     if not is_results(source):
         raise ResultsError(f"{source}: expected a results folder, found no {EXPERIMENT}")
     found = read_experiment(source)
@@ -252,16 +259,15 @@ def _require_same(source: Path, collected: Collected, out: Path) -> None:
             f"{source}: expected runs of magical {collected.version}, as in {out}, found {version}"
         )
     collected.version = version
-    for what, digests, known in (
-        ("demonstrations", found.demonstrations, collected.demonstrations),
-        ("demonstrations", found.generated_demonstrations, collected.generated),
-        ("checkpoint", found.first_runs, collected.first_runs),
+    for digests, known in (
+        (found.demonstrations, collected.demonstrations),
+        (found.generated_demonstrations, collected.generated),
     ):
         for name, digest in digests.items():
             if known.setdefault(name, digest) != digest:
                 raise ResultsError(
-                    f"{source}: expected the {what} of {name} that runs in {out} learned from, "
-                    "found another"
+                    f"{source}: expected the demonstrations of {name} that runs in {out} learned "
+                    "from, found others"
                 )
 
 

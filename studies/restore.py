@@ -56,7 +56,6 @@ def restore(source: Path, out: Path, again: int | None = None) -> int:
         {"magical": collected.version},
         collected.demonstrations,
         collected.generated,
-        collected.first_runs,
     )
     write_json(out / EXPERIMENT, asdict(experiment))
     return len(collected.runs)

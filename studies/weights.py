@@ -23,7 +23,7 @@ from magical.errors import MagicalError, ResultsError
 from magical.evaluation import Entry, read_entry
 from magical.experiments.results import DONE, read_state
 from magical.files import sha256_sum, write_atomically
-from magical.learning.running.checkpoints import load_newest_checkpoint, save_checkpoint
+from magical.learning.running.checkpoints import load_checkpoint, save_checkpoint
 from magical.runs.folder import CHECKPOINT, CONFIG, RECORD, read_json, write_json
 from magical.runs.plan import RUNS
 from studies.collect import Collected
@@ -105,7 +105,7 @@ def _files(folder: Path, entry: Entry) -> Iterator[tuple[str, bytes]]:
     """The files of a run to archive; the checkpoint without what only training needs."""
     with tempfile.TemporaryDirectory() as temporary:
         out = Path(temporary)
-        state = load_newest_checkpoint(folder)
+        state = load_checkpoint(folder / CHECKPOINT)
         save_checkpoint(out / CHECKPOINT, {name: state[name] for name in ("step", "policy")})
         config = read_json(folder / CONFIG)
         if "demos" in config:  # a path on the training machine

@@ -60,7 +60,7 @@ def test_every_command_explains_itself(name: str, capsys: pytest.CaptureFixture[
         ("demos video demos --out x.mp4 --index 0 --index 1 2", "index", 3),
         ("report runs --published A --published B", "published", 2),
         ("leaderboard runs --rerun A --rerun B", "rerun", 2),
-        ("train bc --out run --track wandb --track mlflow", "track", 2),
+        ("train bc --out run --track wandb --track tensorboard", "track", 2),
         ("train bc --out run --task MoveToRegion --task MoveToCorner", "setting tasks", 2),
     ],
 )

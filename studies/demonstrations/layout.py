@@ -22,7 +22,7 @@ from magical.experiments.plan import PlannedRun, planned_runs, read_plan
 from magical.experiments.results import opened
 from magical.learning import train
 from magical.learning.algorithms.ppo import ReinforcementConfig
-from magical.learning.running.checkpoints import load_newest_checkpoint
+from magical.learning.running.checkpoints import load_checkpoint
 from magical.learning.running.devices import cpu_threads
 from magical.plugins import import_user_module
 from magical.runs import is_run
@@ -54,7 +54,7 @@ def read_step(folder: Path) -> int:
     """How many updates a run's newest checkpoint has; 0 without one."""
     if not (folder / CHECKPOINT).exists():
         return 0
-    return int(load_newest_checkpoint(folder)["step"])
+    return int(load_checkpoint(folder / CHECKPOINT)["step"])
 
 
 def read_curve(folder: Path) -> list[tuple[int, float]]:

@@ -141,7 +141,7 @@ def main() -> None:
     add("--variants", nargs="+", type=str, help="that DAgger's learner acts in (default: Demo)")
     add("--batches", type=int, help="in each round (default: the quick preset's, as for all below)")
     add("--episodes", type=int, help="in each round")
-    add("--network", help="paper, small or light")
+    add("--network", help="paper, narrow or light")
     add("--beta-decay", type=float)
     add("--workers", type=int, default=0, help="processes for the environments (default: none)")
     arguments = parser.parse_args()

@@ -156,19 +156,16 @@ def test_an_interrupted_run_resumes_from_its_checkpoint(
     assert scores_of(out) == scores_of(finished)
 
 
-def test_a_run_with_a_damaged_checkpoint_resumes_from_the_one_before(
-    planned: Planned, inline: Started, copied: Path, finished: Path
+def test_a_run_with_a_damaged_checkpoint_fails_and_keeps_it(
+    planned: Planned, inline: Started, copied: Path
 ) -> None:
-    (first, second) = planned()
-    folder = copied / "runs" / first.folder
+    (run, _) = planned()
+    folder = copied / "runs" / run.folder
     (folder / "result.json").unlink()
-    (folder / "scores.csv").unlink()
-    checkpoint = folder / "checkpoint.safetensors"
-    checkpoint.unlink()  # it may share its contents with the previous one
-    checkpoint.write_bytes(b"damaged")
-    assert execute([first, second], copied).complete
-    assert [run.seed for run in inline] == [0]
-    assert scores_of(copied) == scores_of(finished)
+    (folder / "checkpoint.safetensors").write_bytes(b"damaged")
+    assert execute([run], copied).counts["failed"] == 1
+    assert "checkpoint.safetensors is damaged" in results_of(copied)[run.folder]["error"]
+    assert (folder / "checkpoint.safetensors").read_bytes() == b"damaged"
 
 
 def test_checkpoints_of_another_network_are_left_as_they_are(
@@ -177,13 +174,12 @@ def test_checkpoints_of_another_network_are_left_as_they_are(
     (run, _) = planned()
     folder = copied / "runs" / run.folder
     (folder / "result.json").unlink()
-    files = [folder / "checkpoint.safetensors", folder / "previous-checkpoint.safetensors"]
-    before = [file.read_bytes() for file in files]
+    before = (folder / "checkpoint.safetensors").read_bytes()
     made = bc.make_policy
     monkeypatch.setattr(bc, "make_policy", lambda config: nn.Sequential(made(config)))
     assert execute([run], copied).counts["failed"] == 1
     assert "the checkpoint is of another network" in results_of(copied)[run.folder]["error"]
-    assert [file.read_bytes() for file in files] == before
+    assert (folder / "checkpoint.safetensors").read_bytes() == before
 
 
 def test_what_a_killed_process_left_does_not_stand_in_the_way(
@@ -304,21 +300,6 @@ def test_failed_runs_are_left_only_where_they_are_tried_again(
     for again, left in ((False, "0:00:00"), (True, "0:01:00")):
         found = forecast.forecast(planned(), copied, retry_failed=again)
         assert list(found.lines())[1].startswith(f"time left, one run at a time: {left}")
-
-
-def test_a_first_run_that_has_changed_since_is_noticed(
-    planned: Planned, inline: Started, out: Path, finished: Path, tmp_path: Path
-) -> None:
-    one, other = (finished / "runs" / run.folder for run in planned())
-    first = Path(shutil.copytree(one, tmp_path / "first"))
-    runs = planned(("batches = 6", f'init_from = "{first}", batches = 6'))
-    assert execute(runs[:1], out).counts["done"] == 1
-    shutil.copy(other / "checkpoint.safetensors", first)
-    for some in (runs, runs[:1]):  # one waits; all are done
-        with pytest.raises(ResultsError, match=f"a different checkpoint of {first}"):
-            execute(some, out)
-    shutil.rmtree(first)
-    assert execute(runs[:1], out).complete
 
 
 def test_runs_take_turns_on_the_visible_gpus(

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from magical.files import link_atomically, remove_partial_files, write_atomically
+from magical.files import remove_partial_files, write_atomically
 
 
 def test_a_file_appears_whole_in_a_new_folder(tmp_path: Path) -> None:
@@ -125,19 +125,6 @@ def test_a_link_planted_under_the_temporary_name_is_not_followed(
         pass
     assert link.is_symlink()
     assert (tmp_path / "mine").read_text() == "mine"
-
-
-def test_a_file_under_a_second_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def unsupported(*_: object, **__: object) -> None:
-        raise PermissionError("a file system without hard links")
-
-    for content in ("linked", "copied"):
-        (tmp_path / "new").write_text(content)
-        link_atomically(tmp_path / "new", tmp_path / "kept")
-        (tmp_path / "new").unlink()
-        assert (tmp_path / "kept").read_text() == content
-        assert len(list(tmp_path.iterdir())) == 1
-        monkeypatch.setattr(os, "link", unsupported)
 
 
 KILLED = """

@@ -119,7 +119,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Policies]:
             demos=str(folder / "demos"),
             num_demos=1,
             batches=3,
-            network="small",
+            network="light",
             device="cpu",
             threads=1,
         )

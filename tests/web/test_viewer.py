@@ -276,6 +276,6 @@ def test_play_keep_load_scrub_train_and_watch(
 
 
 TRAINING = (
-    *("--task", "MoveToRegion", "--preset", "quick", "--network", "small", "--batches", "3"),
+    *("--task", "MoveToRegion", "--preset", "quick", "--network", "light", "--batches", "3"),
     *("--num-demos", "1", "--device", "cpu", "--threads", "1", "--demos"),
 )

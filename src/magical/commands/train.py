@@ -1,7 +1,7 @@
 """Train a policy with one of the algorithms, each of which has its own options.
 
 A run is kept in a folder: configuration, versions, names and SHA-256 sums of the demonstrations,
-metrics, two checkpoints.
+metrics, a checkpoint.
 """
 
 import argparse
@@ -58,8 +58,6 @@ def run(args: argparse.Namespace) -> int:
         if "evaluation_score" in metrics:
             save_learning_curves(args.out)
 
-    if args.previous_checkpoint and not args.resume:
-        raise UsageError("--previous-checkpoint needs --resume: a new run has no checkpoints")
     try:
         config = _config(args)
     except InvalidConfigError as error:  # wrong arguments, not a failure
@@ -68,7 +66,6 @@ def run(args: argparse.Namespace) -> int:
         config,
         args.out,
         resume=args.resume,
-        previous_checkpoint=args.previous_checkpoint,
         stop_after=args.stop_after,
         progress=True,
         callback=plot_at_evaluations,
@@ -123,7 +120,7 @@ class _ParseOptions(argparse.Action):
 def _add_options(parser: argparse.ArgumentParser, algorithm: str) -> None:
     from magical.learning import find_algorithm
     from magical.learning.config import options
-    from magical.learning.trackers import tracker_names
+    from magical.learning.trackers import TRACKERS
 
     kind = find_algorithm(algorithm).config
     parser.description = (kind.__doc__ or "").splitlines()[0]
@@ -135,22 +132,15 @@ def _add_options(parser: argparse.ArgumentParser, algorithm: str) -> None:
         help="resume the run in the folder; its configuration need not be given again",
     )
     parser.add_argument(
-        "--previous-checkpoint",
-        action="store_true",
-        default=False,
-        help="with --resume: discard the newest checkpoint, for example because it is damaged, "
-        "and resume from the previous one",
-    )
-    parser.add_argument(
         "--preset",
         choices=tuple(kind.presets),
         default=None,
         help="preset for all options that are not given (default: paper)",
     )
     add_count(parser, "--stop-after", "save a checkpoint and stop after N more batches or updates")
-    trackers = f"{{{','.join(tracker_names())}}}"
-    meaning = "also log the metrics to these trackers; or module:NAME"
-    add_several(parser, "--track", meaning, trackers, default=[])
+    meaning = "also log the metrics to these trackers"
+    shown = f"{{{','.join(TRACKERS)}}}"
+    add_several(parser, "--track", meaning, shown, choices=TRACKERS, default=[])
     add_json(parser)
     parser.set_defaults(json=False)
     for option in options(kind):

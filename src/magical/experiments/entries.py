@@ -13,7 +13,7 @@ from magical.messages import quoted
 from magical.runs import is_run
 from magical.runs.folder import RECORD, read_json
 from magical.runs.machine import provenance
-from magical.runs.sources import LEARNED_FROM, PRETRAINED_ON, RENDERED_STATES
+from magical.runs.sources import LEARNED_FROM, RENDERED_STATES
 
 MAX_THREADS = 1024  # the most that an entry can ask for
 
@@ -35,11 +35,8 @@ def evaluation_details(policy: str, out: Path) -> dict[str, Any]:
     from magical.learning.running.devices import num_threads
 
     details = {**read_config(Path(policy)).training_details, THREADS: num_threads()}
-    record = read_json(Path(policy) / RECORD)
-    if record.get("augment_by") == RESAMPLING:  # no state was rendered
+    if read_json(Path(policy) / RECORD).get("augment_by") == RESAMPLING:  # no state was rendered
         details[LEARNED_FROM] = [each for each in details[LEARNED_FROM] if each != RENDERED_STATES]
-    if PRETRAINED_ON in record:
-        details[PRETRAINED_ON] = record[PRETRAINED_ON]
     relative = os.path.relpath(Path(policy).resolve(), out.resolve())  # `..` of a link is elsewhere
     return {POLICY: relative, **details, **made}
 

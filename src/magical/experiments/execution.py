@@ -35,7 +35,6 @@ from magical.experiments.results import (
     Outcome,
     Results,
     opened,
-    require_same_first_runs,
 )
 from magical.files import is_out_of_space
 from magical.learning.running.devices import visible_gpus
@@ -185,7 +184,6 @@ def execute(
     with Interrupts() as stop, opened(out, runs) as results:
         states = {run: results.state(run) for run in runs}
         require_same_demonstrations([run for run in runs if states[run] == DONE], results)
-        require_same_first_runs(runs, results)
         again = (None, FAILED) if retry_failed else (None,)
         waiting = [run for run in runs if states[run] in again]
         open_dataset(waiting, results)  # if it refuses the plan, the previous one stays listed

@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from magical.errors import CheckpointError, CheckpointMismatchError, MagicalError, ScoresError
+from magical.errors import MagicalError, ScoresError
 from magical.evaluation import BUILT_IN, Entry, read_entry
 from magical.evaluation.entry import ENTRY_FILE, SCORES_FILE
 from magical.evaluation.protocol import Evaluation
@@ -89,12 +89,7 @@ def _train_and_evaluate(
         config = config.replace(demos=str(demos))
     start = time.perf_counter()
     resume = is_run(folder)
-    try:
-        result = train(config, folder, resume=resume)
-    except CheckpointMismatchError:  # intact, but of other code: not to be replaced
-        raise
-    except CheckpointError:  # the newest checkpoint is damaged
-        result = train(config, folder, resume=resume, previous_checkpoint=resume)
+    result = train(config, folder, resume=resume)
     if result.interrupted:
         return None
     trained = time.perf_counter()

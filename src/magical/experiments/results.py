@@ -1,7 +1,6 @@
 """The results folder of a plan (docs/experiments.md).
 
-- `experiment.json`: format, identity of the folder, versions; digests of the demonstrations, and of
-  the checkpoints that runs are fine-tuned from
+- `experiment.json`: format, identity of the folder, versions; digests of the demonstrations
 - `plan.json`: the runs of the plan, in its order
 - `progress.json`: which runs are in progress, while `.lock` is held
 - `demos/`: demonstrations generated for the plan
@@ -19,9 +18,9 @@ from typing import Any, Literal
 from magical import __version__
 from magical.errors import ResultsError
 from magical.experiments.plan import PlannedRun
-from magical.files import OwnedFolder, sha256_sum
+from magical.files import OwnedFolder
 from magical.messages import quoted
-from magical.runs.folder import CHECKPOINT, versions, write_json
+from magical.runs.folder import versions, write_json
 from magical.runs.plan import PLAN, RESULT, RUNS, read_listing
 from magical.untrusted import read_json
 
@@ -40,7 +39,6 @@ class Experiment:
         versions: the versions that it was created with.
         demonstrations: digests of the user's dataset, by task.
         generated_demonstrations: digests of the scripted experts', by folder and task.
-        first_runs: digests of the checkpoints that runs are fine-tuned from, by `init_from`.
     """
 
     format: int
@@ -48,7 +46,6 @@ class Experiment:
     versions: dict[str, str]
     demonstrations: dict[str, str] = field(default_factory=dict)
     generated_demonstrations: dict[str, str] = field(default_factory=dict)
-    first_runs: dict[str, str] = field(default_factory=dict)
 
 
 def read_experiment(path: Path) -> Experiment:
@@ -162,24 +159,6 @@ def opened(path: Path, runs: Sequence[PlannedRun]) -> Iterator[Results]:
 def _owned(path: Path) -> OwnedFolder:
     written, then = (EXPERIMENT, PLAN, PROGRESS), "run the same command again"
     return OwnedFolder(path, written, ResultsError, "runs a plan in this folder", then)
-
-
-def require_same_first_runs(runs: Iterable[PlannedRun], results: Results) -> None:
-    """Check that all runs are fine-tuned from the same checkpoints; a missing one is not read.
-
-    Raises:
-        ResultsError: runs in the folder were fine-tuned from other checkpoints.
-    """
-    folders = {str(run.config.to_dict().get("init_from") or "") for run in runs} - {""}
-    digests: dict[str, str] = {}
-    for folder in sorted(folders):
-        if (Path(folder) / CHECKPOINT).is_file():
-            digests[folder] = sha256_sum(Path(folder) / CHECKPOINT, follow_links=True)
-    results.require_same(
-        "first_runs",
-        digests,
-        lambda folder: f"a different checkpoint of {folder} than the current one",
-    )
 
 
 def is_results(path: Path) -> bool:

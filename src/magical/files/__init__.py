@@ -8,7 +8,6 @@
 
 from magical.files.atomic import (
     is_partial,
-    link_atomically,
     make_folder,
     remove_partial_files,
     write_atomically,
@@ -24,7 +23,6 @@ __all__ = [
     "is_locked",
     "is_out_of_space",
     "is_partial",
-    "link_atomically",
     "lock_now",
     "locked",
     "make_folder",

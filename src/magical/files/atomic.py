@@ -4,7 +4,6 @@ import errno
 import os
 import re
 import secrets
-import shutil
 import sys
 import time
 from collections.abc import Iterator
@@ -62,26 +61,6 @@ def make_folder(path: Path) -> None:
         raise FileExistsError(f"{found}: expected a folder, found {what}") from error
     if not os.access(path, os.W_OK):
         raise PermissionError(errno.EACCES, "the folder cannot be written to", str(path))
-
-
-def link_atomically(source: Path, target: Path) -> None:
-    """Give a file a second name; an older file at `target` is replaced.
-
-    This is a hard link, or a copy on a file system without hard links. Neither file may be modified
-    in place later.
-
-    Raises:
-        OSError: the folder cannot be written to, or the disk is full.
-    """
-    temporary = _temporary(target)
-    with _removed(temporary):
-        try:
-            temporary.hardlink_to(source)
-        except OSError:
-            with source.open("rb") as old, write_atomically(target) as new:
-                shutil.copyfileobj(old, new)
-        else:
-            _replace(temporary, target)
 
 
 def _replace(temporary: Path, target: Path) -> None:

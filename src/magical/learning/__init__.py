@@ -14,14 +14,12 @@ from magical.learning.config import Config
 from magical.runs import is_run
 
 if TYPE_CHECKING:
-    from magical.learning.ensemble import EnsemblePolicy
     from magical.learning.policy import NetworkPolicy, TrainedPolicy, load_policy
     from magical.learning.running.training import TrainResult, train
 
 __all__ = [
     "Algorithm",
     "Config",
-    "EnsemblePolicy",
     "NetworkPolicy",
     "TrainResult",
     "TrainedPolicy",
@@ -34,7 +32,6 @@ __all__ = [
 ]
 
 _NEEDS_TORCH = {
-    "EnsemblePolicy": "ensemble",
     "NetworkPolicy": "policy",
     "TrainedPolicy": "policy",
     "load_policy": "policy",

@@ -60,8 +60,8 @@ class Trunk(nn.Module):
             action_input: how actions are joined: "one-hot", "embedding", or "none" if `forward`
                 takes no actions.
             num_features: replaces the last linear layer's size.
-            pixel_range: the range that images are mapped to, unless the architecture accepts only
-                one: "unit" for [0, 1], "symmetric" for [-1, 1].
+            pixel_range: the range that images are mapped to: "unit" for [0, 1], "symmetric" for
+                [-1, 1].
 
         Raises:
             UnknownNameError: no such architecture.
@@ -82,8 +82,7 @@ class Trunk(nn.Module):
             self.convolutions = architecture.make_convolutions(input_shape[0], batch_norm)
             self.map_shape = _map_shape(self.convolutions, input_shape)
         self.action_input = action_input
-        self.pretrained = getattr(architecture, "PRETRAINED", False)
-        self.pixels = PIXEL_RANGES[getattr(architecture, "PIXEL_RANGE", pixel_range)]
+        self.pixels = PIXEL_RANGES[pixel_range]
         joined = JOINED[action_input]
         self.linear = _linear_layers([math.prod(self.map_shape), *hidden], joined)
         self.embedding = nn.Embedding(NUM_ACTIONS, EMBEDDING) if joined[1] else None
@@ -235,17 +234,14 @@ def centre(network: PolicyNetwork) -> None:
     shrinks to a thousandth in the features. He initialisation preserves it, the first convolution's
     biases cancel a uniform frame of mean brightness, and the initial policy is nearly uniform.
     """
-    trunk = network.trunk
-    kept = set(trunk.convolutions.modules()) if trunk.convolutions and trunk.pretrained else set()
-    modules = (module for module in network.modules() if module not in kept)
-    layers = [m for m in modules if isinstance(m, nn.Conv2d | nn.Linear)]
+    layers = [m for m in network.modules() if isinstance(m, nn.Conv2d | nn.Linear)]
     for layer in layers:
         nn.init.kaiming_normal_(layer.weight, nonlinearity="relu")
         if layer.bias is not None:
             nn.init.zeros_(layer.bias)
     with torch.no_grad():
         first = layers[0]
-        # The first may be a linear layer, on the features of a frozen encoder.
+        # Another distribution's architecture may begin otherwise.
         if isinstance(first, nn.Conv2d) and first.bias is not None:
             low, high = network.trunk.pixels
             brightness = low + (high - low) * MEAN_BRIGHTNESS

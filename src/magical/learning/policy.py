@@ -15,7 +15,7 @@ from magical.evaluation.policy import Actions, Mask
 from magical.learning.algorithms import find_algorithm, read_config
 from magical.learning.augmentation.augment import to_unit
 from magical.learning.config import Config
-from magical.learning.running.checkpoints import load_newest_checkpoint, restoring
+from magical.learning.running.checkpoints import load_checkpoint, restoring
 from magical.learning.running.devices import Compute, choose_device, full_float32, read_compute
 from magical.observe import ObservationSpec
 from magical.runs.folder import CHECKPOINT, RECORD, read_json
@@ -168,7 +168,7 @@ def load_policy(run: Path | str, device: str = "auto", greedy: bool = False) -> 
     algorithm = find_algorithm(config.algorithm)
     network = algorithm.make_policy(config)
     chosen = choose_device(device)
-    state = load_newest_checkpoint(folder)
+    state = load_checkpoint(folder / CHECKPOINT)
     with restoring(folder / CHECKPOINT):
         network.load_state_dict(state["policy"])
         done = int(state["step"])

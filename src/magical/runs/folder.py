@@ -4,7 +4,6 @@
 - `run.json`: versions, demonstrations with SHA-256 sums, device and precision
 - `metrics.jsonl`: one JSON object per line
 - `checkpoint.safetensors`: the newest checkpoint
-- `previous-checkpoint.safetensors`: the one before
 - `learning-curves.png`: the metrics as a picture
 - `tensorboard/`: the metrics again, on request
 - `.lock`: locked while the run is trained; holds the process id
@@ -30,10 +29,9 @@ CONFIG = "config.json"
 RECORD = "run.json"
 METRICS = "metrics.jsonl"
 CHECKPOINT = "checkpoint.safetensors"
-PREVIOUS = "previous-checkpoint.safetensors"
 CURVES = "learning-curves.png"
 TENSORBOARD = "tensorboard"
-WRITTEN = (CONFIG, RECORD, METRICS, CHECKPOINT, PREVIOUS, CURVES)  # by the holder of the lock
+WRITTEN = (CONFIG, RECORD, METRICS, CHECKPOINT, CURVES)  # by the holder of the lock
 
 # Settings that may change when a run is resumed. The dataset may have been moved: its contents are
 # compared instead. The others do not change the result.
@@ -91,7 +89,7 @@ def _remove_unless_begun(path: Path, keep_folder: bool) -> None:
     """Remove the files of a run without metrics or checkpoints, unless there are other files."""
     names = {file.name for file in path.iterdir()}
     has_metrics = METRICS in names and (path / METRICS).stat().st_size > 0
-    if has_metrics or names & {CHECKPOINT, PREVIOUS} or names - {*WRITTEN, TENSORBOARD, LOCK}:
+    if has_metrics or CHECKPOINT in names or names - {*WRITTEN, TENSORBOARD, LOCK}:
         return
     shutil.rmtree(path / TENSORBOARD, ignore_errors=True)
     with suppress(OSError):  # Windows keeps the lock file, which is open

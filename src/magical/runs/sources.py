@@ -20,7 +20,7 @@ BENCHMARK_PRIOR = "benchmark prior"
 # Fields of an entry's details.
 LEARNED_FROM = "learned_from"
 NUM_DEMOS = "num_demos"  # demonstrations of each task that a policy learned from
-PRETRAINED_ON = "pretrained_on"  # the tasks that a network was pre-trained on; also in `run.json`
+PRETRAINED_ON = "pretrained_on"  # the tasks that a network was pre-trained on
 
 SOURCES: Mapping[str, str] = {
     DEMONSTRATIONS: "demonstrations of the Demo variant",

@@ -22,7 +22,6 @@ from magical.learning.algorithms.bc import (
     BCConfig,
     BCTrainer,
     bc_loss,
-    make_policy,
 )
 from magical.learning.running import run
 from magical.learning.running.run import Run
@@ -153,28 +152,16 @@ def test_stopping_after_no_step_is_refused(demos: Path, tmp_path: Path) -> None:
         train(tiny(demos), tmp_path / "run", stop_after=0)
 
 
-def damage(path: Path) -> None:
-    content = bytearray(path.read_bytes())
-    content[-100] ^= 1
-    path.write_bytes(content)
-
-
-def test_a_damaged_checkpoint_is_refused_and_the_previous_one_gives_the_same_weights(
-    demos: Path, tmp_path: Path
-) -> None:
-    config, folder = tiny(demos, checkpoint_every=1), tmp_path / "run"
+def test_a_damaged_checkpoint_is_refused(demos: Path, tmp_path: Path) -> None:
+    config, folder = tiny(demos), tmp_path / "run"
     train(config, folder, stop_after=4)
-    damage(folder / CHECKPOINT)
-    with pytest.raises(CheckpointError, match=r"checkpoint\.safetensors is damaged.*of step 3"):
+    damaged = (folder / CHECKPOINT).read_bytes()[:-100]
+    (folder / CHECKPOINT).write_bytes(damaged)
+    with pytest.raises(CheckpointError, match=r"checkpoint\.safetensors is damaged"):
         load_policy(folder)
-    with pytest.raises(CheckpointError, match=r"checkpoint\.safetensors is damaged.*of step 3"):
+    with pytest.raises(CheckpointError, match=r"checkpoint\.safetensors is damaged"):
         train(config, folder, resume=True)
-    result = train(config, folder, resume=True, previous_checkpoint=True, stop_after=1)
-    assert result.step == 4
-    assert train(config, folder, resume=True).finished
-    train(config, tmp_path / "whole")
-    assert same_weights(folder, tmp_path / "whole")
-    assert [line["step"] for line in read_metrics(folder)] == [2, 4, 6]
+    assert (folder / CHECKPOINT).read_bytes() == damaged
 
 
 def test_a_run_is_trained_once_at_a_time_and_evaluated_meanwhile(
@@ -275,7 +262,7 @@ def test_a_full_disk_is_named_and_the_last_checkpoint_kept(
         raise OSError(errno.ENOSPC, "No space left on device")
 
     with monkeypatch.context() as patch:
-        patch.setattr(run, "replace_checkpoint", full)
+        patch.setattr(run, "save_checkpoint", full)
         with pytest.raises(RunFolderError, match=r"no space left.*resume"):
             train(config, tmp_path / "run", resume=True)
     assert_same(checkpoint(tmp_path / "run"), before)
@@ -324,24 +311,6 @@ def test_state_vectors_need_other_settings(fields: dict[str, Any], message: str)
         tiny(Path("demos"), observation="state", **fields)
 
 
-def test_a_run_is_fine_tuned_from_the_trunk_of_another(demos: Path, tmp_path: Path) -> None:
-    before = tmp_path / "before"
-    train(tiny(demos, tasks=TASKS), before)
-    config = tiny(demos, num_demos=1, init_from=str(before), learning_rate=1e-12, batches=2)
-    train(config, tmp_path / "after", stop_after=1)
-    kept = before.rename(tmp_path / "kept")  # not needed any more
-    train(config, tmp_path / "after", resume=True)
-    kept.rename(before)
-    first, last = (checkpoint(tmp_path / name)["policy"] for name in ("before", "after"))
-    own = make_policy(config).state_dict()
-    for name in (name for name, _ in make_policy(config).named_parameters()):
-        expected = first[name] if name.startswith("trunk.") else own[name]
-        assert torch.allclose(last[name], expected, atol=1e-6), name
-    details = evaluation_details(str(tmp_path / "after"), tmp_path)
-    assert details["learned_from"] == ["demonstrations", "extra data"]
-    assert (details["pretrained_on"], details["num_demos"]) == (list(TASKS), 1)
-
-
 def test_rendered_states_are_recorded_only_if_states_were_rendered(
     demos: Path, expert_demos: Path, tmp_path: Path
 ) -> None:
@@ -353,19 +322,3 @@ def test_rendered_states_are_recorded_only_if_states_were_rendered(
     ):  # fmt: skip
         train(config, tmp_path / name)
         assert evaluation_details(str(tmp_path / name), tmp_path)["learned_from"] == expected
-
-
-def test_what_cannot_be_fine_tuned_is_refused(demos: Path, tmp_path: Path) -> None:
-    train(tiny(demos), tmp_path / "before")
-    once = tiny(demos, init_from=str(tmp_path / "before"))
-    train(once, tmp_path / "once")
-    for changed, message in (
-        ({"init_from": str(tmp_path / "once")}, "that was itself not fine-tuned"),
-        ({"observation": "LoRes4A"}, "expected a run with the observation LoRes4A"),
-        ({"conventions": "published"}, "expected a run with the conventions published"),
-        ({"network": "small"}, "expected a run with the network small, found"),
-    ):
-        with pytest.raises(InvalidConfigError, match=message):
-            train(once.replace(**changed), tmp_path / "refused")
-    with pytest.raises(RunFolderError, match=r"nowhere"):
-        train(once.replace(init_from="nowhere"), tmp_path / "refused")

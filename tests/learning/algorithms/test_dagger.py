@@ -21,9 +21,7 @@ from magical.experts import goals
 from magical.learning import train
 from magical.learning.algorithms.bc import BCConfig
 from magical.learning.algorithms.dagger import AGGREGATE, DAggerConfig
-from magical.learning.running.run import Metrics
 from magical.runs import read_metrics
-from magical.runs.folder import CHECKPOINT
 from tests.learning import tiny_runs
 from tests.learning.conftest import TASKS
 from tests.learning.tiny_runs import assert_same, checkpoint
@@ -128,25 +126,6 @@ def test_an_episode_that_was_stored_and_not_listed_is_kept(demos: Path, tmp_path
     with pytest.raises(DatasetError):
         aggregate(folder)
     assert train(config, folder, resume=True).finished
-
-
-def test_the_previous_checkpoint_may_be_of_an_earlier_round_than_the_episodes(
-    demos: Path, tmp_path: Path, whole: Path
-) -> None:
-    def fail(step: int, metrics: Metrics) -> None:
-        if step == 5:
-            raise LookupError
-
-    config, folder = tiny(demos, checkpoint_every=2), tmp_path / "run"
-    with pytest.raises(LookupError):
-        train(config, folder, callback=fail)
-    assert len(aggregate(folder)) == 2
-    (folder / CHECKPOINT).write_bytes(b"")
-    result = train(config, folder, resume=True, previous_checkpoint=True, stop_after=1)
-    assert result.step == 3
-    assert result.metrics["labels"] == 64
-    assert train(config, folder, resume=True).finished
-    assert_same_run(folder, whole)
 
 
 def test_another_aggregate_cannot_continue_a_run(demos: Path, tmp_path: Path, whole: Path) -> None:

@@ -55,7 +55,7 @@ def test_freed_memory_is_used_again_as_in_training(
 
 
 def test_what_the_user_has_chosen_stays(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("MALLOC_TOP_PAD_", "0")
+    monkeypatch.setenv("GLIBC_TUNABLES", "glibc.malloc.top_pad=0")
     assert not keep_freed_memory()
 
 

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 from magical.errors import RunFolderError, UnknownNameError
 from magical.extras import require
 from magical.learning.config import Config, options
-from magical.learning.networks import TIMM
 from magical.plugins import Registry, require_imported
 from magical.runs.folder import CONFIG, is_run, read_json
 
@@ -98,13 +97,8 @@ def read_config(folder: Path | str, given: Mapping[str, Any] = MappingProxyType(
 
 def references(kind: type[Config], settings: Mapping[str, Any]) -> list[str]:
     """The `module:NAME` among the settings of a configuration class, by option name."""
-    values = {option.name: settings.get(option.name) for option in options(kind) if option.open}
-    return [
-        value
-        for name, value in values.items()
-        if isinstance(value, str) and ":" in value
-        if name != "network" or not value.startswith(TIMM)
-    ]
+    values = (settings.get(option.name) for option in options(kind) if option.open)
+    return [value for value in values if isinstance(value, str) and ":" in value]
 
 
 def modules_of(config: Config) -> list[str]:

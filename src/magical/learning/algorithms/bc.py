@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
-from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
 import torch
@@ -13,7 +12,7 @@ from torch.optim import SGD, Adam, Optimizer
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from magical.errors import InvalidConfigError
-from magical.learning.algorithms import Algorithm, read_config
+from magical.learning.algorithms import Algorithm
 from magical.learning.augmentation.names import Augmentations, augment_option
 from magical.learning.augmentation.transformations import (
     NONE,
@@ -35,7 +34,6 @@ from magical.learning.data.expert_data import ExpertData, TaskTrajectories, load
 from magical.learning.data.prefetch import prefetch
 from magical.learning.data.rendered_data import AUTO, RENDERING, RESAMPLING, choose_image_data
 from magical.learning.models import PolicyNetwork, Trunk, init_normal, new_statistics
-from magical.learning.policy import load_policy
 from magical.learning.running.averages import Averages
 from magical.learning.running.checkpoints import StateDict, restoring
 from magical.learning.running.devices import choose_device
@@ -44,8 +42,7 @@ from magical.learning.running.run import Run
 from magical.learning.running.streams import Purpose, seeded_init, stream
 from magical.learning.settings import BELOW_1, NOT_NEGATIVE, POSITIVE, Settings, option
 from magical.observe import STATE
-from magical.runs.folder import CHECKPOINT
-from magical.runs.sources import EXTRA_DATA, PRETRAINED_ON, RENDERED_STATES
+from magical.runs.sources import RENDERED_STATES
 
 ADAM_BETA_2 = 0.999
 STATISTICS_BATCHES = 50  # batches that give the averaged weights their batch-norm statistics
@@ -124,7 +121,6 @@ class BCConfig(Config):
     networks: NetworkSettings = field(default_factory=NetworkSettings)
     demonstrations: DemonstrationSettings
     cloning: CloningSettings = field(default_factory=CloningSettings)
-    init_from: str = option("", "bc run whose trunk is fine-tuned", metavar="RUN")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -145,8 +141,7 @@ class BCConfig(Config):
         # Scenes may be rendered with other colours or walls than the recorded ones.
         changed = cloning.transformations & {PALETTE, WALLS} and cloning.augment_by != RESAMPLING
         rendered = (RENDERED_STATES,) if changed else ()
-        pretrained = (EXTRA_DATA,) if self.init_from else ()
-        return (*super().learned_from, *rendered, *pretrained)
+        return (*super().learned_from, *rendered)
 
     @property
     def num_updates(self) -> int:
@@ -205,10 +200,7 @@ class BCTrainer:
         """Create a new trainer, or resume from the run's checkpoint."""
         self.config, self.run = config, run
         self.device = choose_device(config.device)
-        network = make_policy(config)
-        if config.init_from and not run.saved:
-            load_pretrained(network.trunk, config, run)
-        self.network = network.to(self.device)
+        self.network = make_policy(config).to(self.device)
         self.optimizer = make_optimizer(config.cloning, self.network)
         decay = config.cloning.average_decay
         average = get_ema_multi_avg_fn(decay)  # type: ignore[no-untyped-call]  # PyTorch's
@@ -343,37 +335,6 @@ def make_policy(config: BCConfig) -> PolicyNetwork:
         if networks.published:
             init_normal(network.policy)
         return network
-
-
-def load_pretrained(trunk: Trunk, config: BCConfig, run: Run) -> None:
-    """Load the trunk of the run `init_from`, and record that run's tasks in `run.json`.
-
-    Raises:
-        InvalidConfigError: not a run of bc, one that was itself fine-tuned, or one with another
-            observation or other conventions.
-        RunFolderError, CheckpointError: a damaged run, or one of another network.
-    """
-    folder = Path(config.init_from)
-    before = read_config(folder)
-    if type(before) is not BCConfig or before.init_from:
-        raise InvalidConfigError(
-            f"init_from: expected a run of bc that was itself not fine-tuned, found {folder}"
-        )
-    if before.observation_spec != config.observation_spec:
-        raise InvalidConfigError(
-            f"init_from: expected a run with the observation {config.observation}, found "
-            f"{before.observation} in {folder}"
-        )
-    for name in ("network", "conventions"):
-        wanted, found = (getattr(each.networks, name) for each in (config, before))
-        if found != wanted:
-            raise InvalidConfigError(
-                f"init_from: expected a run with the {name} {wanted}, found {found} in {folder}"
-            )
-    network = load_policy(folder, "cpu").network
-    with restoring(folder / CHECKPOINT):
-        trunk.load_state_dict(network.get_submodule("trunk").state_dict())
-    run.describe(**{PRETRAINED_ON: list(before.tasks)})
 
 
 def make_optimizer(settings: CloningSettings, network: nn.Module) -> Optimizer:

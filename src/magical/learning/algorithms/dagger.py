@@ -264,8 +264,7 @@ class AggregatedDataset:
         self._dataset = Dataset.open(self.folder)
         with restoring(run.folder):
             expected = list(run.saved["aggregate"]) if run.saved else []
-        # There may be one more round, complete or partial, if the run ended while collecting it,
-        # and yet another one if the run is resumed from the previous checkpoint.
+        # There may be one more round, complete or partial, if the run ended while collecting it.
         at_most = self._per_round * min(run.step // config.cloning.batches + 1, config.rounds - 1)
         found = [entry.sha256 for entry in self._dataset.entries]
         if found[: len(expected)] != expected or len(found) > at_most:

@@ -7,11 +7,9 @@ Each file defines `NETWORK`, which has
   [0, 1] or [-1, 1], to feature maps of any shape (B, ...).
 
 Other distributions provide an object or a module with these two through entry points of the group
-`magical.networks`. Any other is named by `module:NAME`, an encoder from the library timm by
-`timm:MODEL`. Pre-trained architectures also have `PRETRAINED`, which is true, and those that accept
-only one range of pixels have `PIXEL_RANGE`: see `magical.learning.encoders`. One that was made from
-more than a run's data has `LEARNED_FROM`, terms of `magical.runs.sources` that the run's entries
-state, such as those of `magical.learning.objects.parser`.
+`magical.networks`. Any other is named by `module:NAME`. One that was made from more than a run's
+data has `LEARNED_FROM`, terms of `magical.runs.sources` that the run's entries state, such as those
+of `magical.learning.objects.parser`.
 
 `magical.learning.models.Trunk` puts the parts together and adds what all architectures share: the
 action input of discriminators, and linear layers only for state vectors.
@@ -20,7 +18,6 @@ action input of discriminators, and linear layers only for state vectors.
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from magical.plugins import Registry, is_plugin
-from magical.runs.sources import EXTRA_DATA
 
 if TYPE_CHECKING:
     from torch import nn
@@ -39,7 +36,6 @@ class Architecture(Protocol):
 
 
 GROUP = "magical.networks"  # of entry points
-TIMM = "timm:"  # prefix of the name of a model from PyTorch Image Models
 
 _NETWORKS: Registry[Architecture] = Registry(
     "network",
@@ -56,28 +52,21 @@ def network_names() -> tuple[str, ...]:
 
 
 def find_network(name: str) -> Architecture:
-    """Find an architecture by its name, by `module:NAME`, or by `timm:MODEL`.
+    """Find an architecture by its name or by `module:NAME`.
 
     Raises:
         UnknownNameError: there is no architecture with this name.
         PluginError: it belongs to another distribution and cannot be imported.
-        MissingDependencyError: timm is not installed.
     """
-    if name.startswith(TIMM):
-        from magical.learning.encoders import timm_encoder  # needs PyTorch
-
-        return timm_encoder(name.removeprefix(TIMM))
     return _NETWORKS.get(name)
 
 
 def sources_of(name: str) -> tuple[str, ...]:
     """What an architecture was made from, beside a run's data, in the terms of `runs.sources`.
 
-    Its `LEARNED_FROM`, and extra data if it has pre-trained weights. Raises what `find_network`
-    raises.
+    Its `LEARNED_FROM`. Raises what `find_network` raises.
     """
     if not is_plugin(GROUP, name):
         return ()
-    network = find_network(name)
-    pretrained = (EXTRA_DATA,) if getattr(network, "PRETRAINED", False) else ()
-    return (*getattr(network, "LEARNED_FROM", ()), *pretrained)
+    stated: tuple[str, ...] = getattr(find_network(name), "LEARNED_FROM", ())
+    return stated

@@ -1,4 +1,4 @@
-"""`small` with a stride of 4 in the first convolution and one layer fewer, for learning online."""
+"""Fig. 11 with few channels and a stride of 4 in the first convolution, for learning online."""
 
 from magical.learning.networks.paper import ConvolutionStack
 

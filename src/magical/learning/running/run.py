@@ -16,15 +16,15 @@ from magical.errors import DivergedError, InvalidConfigError, RunFolderError
 from magical.learning.config import CHECKPOINT_SECONDS, Config
 from magical.learning.running.checkpoints import (
     StateDict,
-    load_newest_checkpoint,
-    replace_checkpoint,
+    load_checkpoint,
     restoring,
+    save_checkpoint,
 )
 from magical.learning.running.devices import Compute, Device, choose_compute, read_compute
 from magical.learning.running.interrupts import Interrupts
 from magical.learning.running.streams import Purpose, seed_torch
 from magical.messages import quoted
-from magical.runs.folder import CHECKPOINT, PREVIOUS, RECORD, read_json, write_json
+from magical.runs.folder import CHECKPOINT, RECORD, read_json, write_json
 from magical.runs.metrics import MetricsWriter
 
 Metrics = Mapping[str, float | str]
@@ -57,7 +57,7 @@ class Run:
         """See `magical.learning.train`.
 
         Raises:
-            CheckpointError: the newest checkpoint is damaged.
+            CheckpointError: the checkpoint is damaged.
             InvalidConfigError: `stop_after` is below 1.
         """
         if stop_after is not None and stop_after < 1:
@@ -70,8 +70,8 @@ class Run:
         self.callbacks: list[Callback] = []
         self._interrupts = interrupts or Interrupts()
         self.record = read_json(folder / RECORD) if (folder / RECORD).exists() else {}
-        begun = any((folder / name).exists() for name in (CHECKPOINT, PREVIOUS))
-        self.saved: StateDict | None = load_newest_checkpoint(folder) if begun else None
+        path = folder / CHECKPOINT
+        self.saved: StateDict | None = load_checkpoint(path) if path.exists() else None
         with restoring(folder):
             self.step = int(self.saved["step"]) if self.saved else 0
         self._last = math.inf if stop_after is None else self.step + stop_after
@@ -143,7 +143,7 @@ class Run:
             Whether the run stops here.
 
         Raises:
-            DivergedError: metrics or state are not finite; the checkpoints are left unchanged.
+            DivergedError: metrics or state are not finite; the checkpoint is left unchanged.
             InvalidConfigError: a device or a precision is asked for, and the algorithm has not
                 called `compute`.
         """
@@ -163,7 +163,7 @@ class Run:
             begun = time.monotonic()
             saved = state()
             self._require_finite(step, saved)
-            replace_checkpoint(self.folder, {**saved, "step": step})
+            save_checkpoint(self.folder / CHECKPOINT, {**saved, "step": step})
             self.step, self._saved_at = step, time.monotonic()
             self._pause = max(CHECKPOINT_SECONDS, (self._saved_at - begun) / SAVING_SHARE)
         seed_torch(self._seed, Purpose.NOISE, step)

@@ -13,7 +13,6 @@ from magical.learning.algorithms import find_algorithm
 from magical.learning.config import Config
 from magical.learning.policy import TrainedPolicy, load_policy
 from magical.learning.running.allocator import keep_freed_memory
-from magical.learning.running.checkpoints import restore_previous_checkpoint
 from magical.learning.running.devices import (
     choose_device,
     flushed_denormals,
@@ -65,7 +64,6 @@ def train(
     out: Path | str,
     *,
     resume: bool = False,
-    previous_checkpoint: bool = False,
     stop_after: int | None = None,
     progress: bool = False,
     callback: Callback | None = None,
@@ -80,25 +78,23 @@ def train(
         config: an algorithm's configuration, such as `BCConfig.preset("quick", ...)`.
         out: a new or empty folder; with `resume`, one that holds this run.
         resume: continue from the newest checkpoint; on a CPU, bit-equal to an uninterrupted run.
-        previous_checkpoint: with `resume`, continue from the checkpoint before the newest.
         stop_after: save a checkpoint and return after this many more batches or updates.
         progress: show a progress bar on standard error.
         callback: called as `callback(step, metrics)` after each line of `metrics.jsonl`. An
             exception from it ends training; the run can be resumed from its newest checkpoint.
-        track: trackers that also receive the metrics: `tensorboard` (needs the extra), `trackio`,
-            `wandb`, `mlflow`, or `module:NAME`.
+        track: trackers that also receive the metrics: `tensorboard` (needs the extra), `wandb`.
 
     Raises:
         RunFolderError: the folder holds something else, or is in use, or the disk is full.
         CheckpointError: the checkpoint is damaged.
         DemonstrationsError, DatasetError: too few demonstrations, or damaged ones.
         DivergedError: the loss or the weights are not finite; the newest good checkpoint is kept.
-        InvalidConfigError: `previous_checkpoint` without `resume`, or other settings out of place.
+        InvalidConfigError: settings out of place.
         MissingDependencyError: a tracker's library is not installed.
     """
     folder, algorithm, total = Path(out), find_algorithm(config.algorithm), config.num_updates
     with (
-        _opened(folder, config, resume, previous_checkpoint),
+        _opened(folder, config, resume),
         Interrupts() as stop,
         ProgressBar(config.algorithm, total, transient=False) if progress else nullcontext() as bar,
         Run(folder, config, interrupts=stop, stop_after=stop_after) as run,
@@ -113,11 +109,9 @@ def train(
 
 
 @contextmanager
-def _opened(folder: Path, config: Config, resume: bool, previous: bool) -> Iterator[None]:
+def _opened(folder: Path, config: Config, resume: bool) -> Iterator[None]:
     """Context manager with the run folder locked and PyTorch set up for training in it."""
     keep_freed_memory()
-    if previous and not resume:
-        raise InvalidConfigError("previous_checkpoint needs resume: a new run has no checkpoints")
     expected, found = (
         find_algorithm(config.algorithm).config.__qualname__,
         type(config).__qualname__,
@@ -134,6 +128,4 @@ def _opened(folder: Path, config: Config, resume: bool, previous: bool) -> Itera
     ):
         if config.threads:
             torch.set_num_threads(config.threads)
-        if previous:
-            restore_previous_checkpoint(folder)
         yield
