@@ -2,7 +2,7 @@ r"""Differences between runs of the physics over time: tables, and a figure for 
 
     python studies/determinism/pymunk_versions.py runs --at-roots --out before.npz
     python studies/determinism/pymunk_versions.py runs --out after.npz
-    python studies/determinism/compare_runs.py --published published.npz --nudged nudged.npz \
+    python -m studies.determinism.compare_runs --published published.npz --nudged nudged.npz \
         --before before.npz --after after.npz --figure studies/determinism/determinism.png
 
 published.npz and nudged.npz are of pymunk 5.6.0: see `pymunk_versions.py`. Motions are compared
