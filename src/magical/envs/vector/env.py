@@ -63,13 +63,13 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         env_ids: the sub-environments' ids, with or without a preset.
         workers: processes that the sub-environments are divided among, at most one for each; 0
             steps them in this process; None starts one for each core. Workers are fresh
-            interpreters and never import the main script. If one ends unexpectedly, the next call
-            raises `WorkerDiedError` and the environment is closed. With workers, only the process
-            that made the environment may use it; in any case, only one thread at a time may.
+            interpreters and never import the main script. If one ends, the next call raises
+            `WorkerDiedError`. Only the process that made them, and one thread at a time, may use it.
         observation: see `observe.make_spec`; takes precedence over the ids' preset.
         horizon: as for `MagicalEnv`.
         reward: as for `MagicalEnv`.
-        instruction, paraphrase: as for `MagicalEnv`.
+        instruction: as for `MagicalEnv`.
+        paraphrase: as for `MagicalEnv`.
         action_space: as for `MagicalEnv`.
         autoreset_mode: what happens after an episode's last step, an `AutoresetMode` or its value.
             "NextStep": the next step ignores the action and starts another episode. "SameStep":
