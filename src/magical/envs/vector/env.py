@@ -64,7 +64,7 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         workers: processes that the sub-environments are divided among, at most one for each; 0
             steps them in this process; None starts one for each core. Workers are fresh
             interpreters and never import the main script. If one ends, the next call raises
-            `WorkerDiedError`. Only the process that made them, and one thread at a time, may use it.
+            `WorkerDiedError`. Only one thread of the process that made them may use it at a time.
         observation: see `observe.make_spec`; takes precedence over the ids' preset.
         horizon: as for `MagicalEnv`.
         reward: as for `MagicalEnv`.
