@@ -32,11 +32,11 @@ $(READY): pyproject.toml constraints.txt
 test: $(READY) ## all tests on one Python
 	@$(BIN)/python -m pytest $(PYTEST_FLAGS)
 
-check: $(READY) ## lint, format, file and function length, layers, types, documentation
+check: $(READY) ## lint, format, budgets of lines, layers, types, documentation
 	@failed=; \
 	$(BIN)/ruff check --quiet . || failed+=" lint"; \
 	$(BIN)/ruff format --check --quiet --diff . || failed+=" format"; \
-	$(BIN)/python tools/check_sizes.py src tests benchmarks studies examples tools integrations || failed+=" sizes"; \
+	$(BIN)/python tools/budgets.py || failed+=" budgets"; \
 	$(BIN)/lint-imports --no-logo --no-cache || failed+=" layers"; \
 	$(BIN)/mypy || failed+=" types"; \
 	$(BIN)/python -m tools.site || failed+=" docs"; \
