@@ -7,7 +7,8 @@ WORKDIR /source
 COPY pyproject.toml README.md LICENSE constraints.txt ./
 COPY tools/install.py tools/
 COPY src src
-RUN python tools/install.py learning,report && useradd --create-home --uid 1000 user
+COPY baselines baselines
+RUN python tools/install.py report baselines && useradd --create-home --uid 1000 user
 USER 1000
 WORKDIR /work
 ENTRYPOINT ["magical"]

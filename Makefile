@@ -8,7 +8,8 @@ SHELL := /bin/bash
 VENV := .venv
 BIN := $(VENV)/$(if $(filter Windows_NT,$(OS)),Scripts,bin)
 READY := $(VENV)/.ready
-EXTRAS := dev,docs,learning,report,video,minari,lerobot,hub,tensorboard,web
+EXTRAS := dev,docs,report,video,minari,lerobot,hub
+COMPANIONS := "baselines[tensorboard]" "goals[learners]" play
 # The first interpreter that runs; `make PYTHON=/path/to/python` overrules it.
 PYTHON ?= $(firstword $(foreach name,python3.11 python3.12 python3.13 python3,\
 	$(shell $(name) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $(name))))
@@ -22,11 +23,11 @@ help: ## this list
 
 setup: $(READY) ## the virtual environment in .venv, pinned versions, editable
 
-$(READY): pyproject.toml constraints.txt
+$(READY): pyproject.toml baselines/pyproject.toml goals/pyproject.toml play/pyproject.toml constraints.txt
 	@test -n "$(PYTHON)" || { echo "error: no Python 3.11 or newer found; set PYTHON=" >&2; exit 1; }
 	@echo "setting up $(VENV) with $(PYTHON): minutes, and gigabytes with a CUDA build of PyTorch"
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	@$(BIN)/python tools/install.py $(EXTRAS) stable-baselines3
+	@$(BIN)/python tools/install.py $(EXTRAS) $(COMPANIONS) stable-baselines3
 	@touch $@
 
 test: $(READY) ## all tests on one Python
@@ -77,4 +78,4 @@ quickstart: $(READY) ## the package's main job, from nothing to a result
 
 clean: ## remove the virtual environments, caches and build products
 	rm -rf .venv .nox build dist site .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
-	find src tests benchmarks studies examples tools integrations -name __pycache__ -type d -prune -exec rm -rf {} +
+	find src tests baselines goals play benchmarks studies examples tools integrations -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -16,13 +16,13 @@ import nox
 nox.options.error_on_missing_interpreters = False
 nox.options.reuse_existing_virtualenvs = True
 nox.options.sessions = ["tests"]
-EXTRAS = "dev,report,video,minari,lerobot,hub,web"
-MORE = "learning,tensorboard,docs,ray"
+EXTRAS = "dev,report,video,minari,lerobot,hub"
+COMPANIONS = ("baselines[ray,tensorboard]", "goals[learners]", "play")
 PYTHONS = ["3.11", "3.12", "3.13"]
 THIS = ".".join(map(str, sys.version_info[:2]))
 # They start many processes, fuzz, or compare with recordings, and take most of the time.
 LONG = (
-    "studies", "reference", "web", "report", "experts", "demos/export", "demos/human",
+    "studies", "reference", "report", "experts", "demos/export", "demos/human",
     "demos/store/test_fuzz.py", "render/test_fuzz.py", "test_bench.py", "test_docs.py",
     "test_examples.py", "test_packaging.py", "test_plugins.py", "test_written_paths.py",
 )  # fmt: skip
@@ -36,8 +36,9 @@ RUN_NOTEBOOK, NOTEBOOK = (
 @nox.session(python=PYTHONS)
 def tests(session: nox.Session) -> None:
     """Install the pinned versions and run the tests; arguments go to pytest."""
-    session.run_install("python", "tools/install.py", EXTRAS)
-    session.run("python", "-m", "pytest", *(session.posargs or ["-q", "-rs", "-n", "auto"]))
+    session.run_install("python", "tools/install.py", EXTRAS, "play")
+    rooms = ("tests", "play/tests")
+    session.run("python", "-m", "pytest", *rooms, *(session.posargs or ["-q", "-rs", "-n", "auto"]))
 
 
 @nox.session(python=[version for version in PYTHONS if version != THIS])
@@ -46,14 +47,15 @@ def light(session: nox.Session) -> None:
     session.run_install("python", "tools/install.py", EXTRAS)
     left_out = (f"--deselect=tests/{path}" for path in LONG)
     flags = ("-q", "-rs", "-n", "auto", "--dist", "loadfile")
-    session.run("python", "-m", "pytest", *flags, *left_out)
+    session.run("python", "-m", "pytest", "tests", *flags, *left_out)
 
 
 @nox.session
 def newest(session: nox.Session) -> None:
     """Run the tests with the newest version of every dependency."""
-    flags = ("--upgrade", "--upgrade-strategy", "eager", "--editable")
-    session.install(*flags, f".[{EXTRAS},{MORE}]", "stable-baselines3")
+    flags = ("--upgrade", "--upgrade-strategy", "eager")
+    editable = (part for name in (f".[{EXTRAS},docs]", *COMPANIONS) for part in ("--editable", name))
+    session.install(*flags, *editable, "stable-baselines3")
     session.run("python", "-m", "pytest", *(session.posargs or ["-q", "-rs", "-n", "auto"]))
 
 
@@ -76,7 +78,7 @@ def wheel(session: nox.Session) -> None:
     work = session.create_tmp()
     with session.chdir(work):
         session.run("magical", "envs", silent=True)
-    session.install(*PINNED, f"{built.resolve()}[learning,report]")
+    session.install(*PINNED, f"{built.resolve()}[report]", "./baselines")
     with session.chdir(work):
         session.run("magical", "quickstart", *session.posargs)
         session.run("python", str(RUN_NOTEBOOK), shutil.copy(NOTEBOOK, "."))

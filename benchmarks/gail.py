@@ -54,8 +54,8 @@ def main() -> None:
 
 def measure(args: argparse.Namespace) -> float:
     """Seconds of CPU time per update, on one thread, including environments."""
-    from magical.learning import train
-    from magical.learning.algorithms.gail import GAILConfig
+    from magical_baselines import train
+    from magical_baselines.algorithms.gail import GAILConfig
 
     config = GAILConfig.preset(
         "published-code",

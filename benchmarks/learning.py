@@ -24,11 +24,11 @@ import torch
 
 from magical.demos.generate import generate
 from magical.envs import EnvId
-from magical.learning.algorithms.bc import Batch, BCConfig, BCTrainer
-from magical.learning.data.expert_data import sample_demonstrations
-from magical.learning.data.prefetch import prefetch
-from magical.learning.running.devices import choose_compute
-from magical.learning.running.run import Run
+from magical_baselines.algorithms.bc import Batch, BCConfig, BCTrainer
+from magical_baselines.data.expert_data import sample_demonstrations
+from magical_baselines.data.prefetch import prefetch
+from magical_baselines.running.devices import choose_compute
+from magical_baselines.running.run import Run
 
 TASK = "MoveToCorner"
 DEMOS = 25

@@ -37,9 +37,9 @@ from magical.evaluation import Entry, read_entry
 from magical.evaluation.collection import read_collection, write_collection
 from magical.evaluation.entry import ENTRY_FILE
 from magical.evaluation.protocol import NUDGE, Evaluation, environments
-from magical.experiments.one_run import evaluate_run
-from magical.experiments.plan import DATASET, PlannedRun, planned_runs, read_plan
-from magical.experiments.results import (
+from magical_baselines.experiments.one_run import evaluate_run
+from magical_baselines.experiments.plan import DATASET, PlannedRun, planned_runs, read_plan
+from magical_baselines.experiments.results import (
     DONE,
     EXPERIMENT,
     is_results,

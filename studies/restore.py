@@ -20,7 +20,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from magical.errors import MagicalError, ResultsError
-from magical.experiments.results import DONE, EXPERIMENT, FORMAT, Experiment
+from magical_baselines.experiments.results import DONE, EXPERIMENT, FORMAT, Experiment
 from magical.runs.folder import read_json, write_json
 from magical.runs.plan import PLAN, RESULT, RUNS
 from studies.collect import Collected

@@ -21,9 +21,9 @@ from pathlib import Path
 
 from magical.errors import MagicalError, ResultsError
 from magical.evaluation import Entry, read_entry
-from magical.experiments.results import DONE, read_state
+from magical_baselines.experiments.results import DONE, read_state
 from magical.files import sha256_sum, write_atomically
-from magical.learning.running.checkpoints import load_checkpoint, save_checkpoint
+from magical_baselines.running.checkpoints import load_checkpoint, save_checkpoint
 from magical.runs.folder import CHECKPOINT, CONFIG, RECORD, read_json, write_json
 from magical.runs.plan import RUNS
 from studies.collect import Collected

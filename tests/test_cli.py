@@ -22,7 +22,7 @@ from magical.commands._common import print_table
 from magical.errors import PlacementError, UnknownNameError
 from magical.extras import EXTRAS
 
-COMMANDS = dict(cli.find_commands())
+COMMANDS = cli.find_commands()
 
 
 @pytest.fixture

@@ -79,7 +79,7 @@ def test_other_commands_exist(words: list[str]) -> None:
 
 
 # Training takes minutes; test_examples.py runs that block with less of everything.
-PROGRAMS = [block for block in blocks("python") if "magical.learning" not in block[1]]
+PROGRAMS = [block for block in blocks("python") if "magical_baselines" not in block[1]]
 
 
 @pytest.mark.parametrize(("page", "code"), PROGRAMS)
@@ -160,8 +160,8 @@ def test_the_results_are_up_to_date() -> None:
 
 def test_paper_presets_have_what_the_appendix_states() -> None:
     pytest.importorskip("torch", reason="the learning extra is not installed")
-    from magical.learning import find_algorithm
-    from magical.learning.config import options
+    from magical_baselines import find_algorithm
+    from magical_baselines.config import options
     from tools import preset_tables
 
     for name in preset_tables.SOURCES:

@@ -92,7 +92,7 @@ def test_the_training_of_five_minutes_runs(root: Path, tmp_path: Path) -> None:
     (block,) = (
         text
         for text in re.findall(r"```python\n(.*?)```", page.read_text(), re.DOTALL)
-        if "magical.learning" in text
+        if "magical_baselines" in text
     )
     # The same program with less of everything.
     short = block.replace('"quick",', '"quick", batches=4,').replace("rollouts=100", "rollouts=2")

@@ -17,11 +17,11 @@ from PIL import Image, ImageDraw
 
 import magical  # noqa: F401  (registers the environments)
 from magical.demos.generate import demonstrate
-from magical.learning.augmentation.augment import augment
-from magical.learning.augmentation.names import NAMES, SETS, Augmentations, parse_augmentations
-from magical.learning.augmentation.transformations import StackTransformations
-from magical.learning.data.expert_data import ExpertData
-from magical.learning.data.rendered_data import RenderedExpertData
+from magical_baselines.augmentation.augment import augment
+from magical_baselines.augmentation.names import NAMES, SETS, Augmentations, parse_augmentations
+from magical_baselines.augmentation.transformations import StackTransformations
+from magical_baselines.data.expert_data import ExpertData
+from magical_baselines.data.rendered_data import RenderedExpertData
 from magical.observe import PRESETS
 
 IMAGES = Path(__file__).resolve().parents[1] / "docs" / "images"

@@ -2,8 +2,9 @@
 
     python tools/install.py dev,report [OTHER ...]
 
-OTHER are further distributions. All versions come from constraints.txt, including the build
-backend's.
+OTHER are the project's other distributions by their folders, with extras, such as `baselines` or
+`goals[learners]`, which are installed in editable mode as well, or any further distributions. All
+versions come from constraints.txt, including the build backend's.
 """
 
 import subprocess
@@ -19,8 +20,11 @@ def main(extras: str, *others: str) -> int:
     backend = subprocess.run([*pip, "hatchling", "hatch-fancy-pypi-readme"], check=False)
     if backend.returncode:
         return backend.returncode
-    project = [*pip, "--no-build-isolation", "--editable", f"{ROOT}[{extras}]", *others]
-    return subprocess.run(project, check=False).returncode
+    wanted = ["--no-build-isolation", "--editable", f"{ROOT}[{extras}]"]
+    for other in others:
+        ours = (ROOT / other.partition("[")[0] / "pyproject.toml").is_file()
+        wanted += ["--editable", str(ROOT / other)] if ours else [other]
+    return subprocess.run([*pip, *wanted], check=False).returncode
 
 
 if __name__ == "__main__":

@@ -3,8 +3,8 @@
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from magical.learning import Config
-from magical.learning.config import Option, options
+from magical_baselines import Config
+from magical_baselines.config import Option, options
 from tools.readme_tables import table
 
 # Values that the appendix states: its section B, Tables 3 and 4.

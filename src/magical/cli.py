@@ -1,7 +1,8 @@
 """The `magical` command.
 
 A command is a file in `magical/commands/` with `HELP`, `configure(parser)` and `run(args)`; the
-file's name is the command's. Commands are listed in alphabetical order. Exit status: 0 for success,
+file's name is the command's. Other distributions add theirs by entry points. Commands are listed in
+alphabetical order. Exit status: 0 for success,
 1 for a failed check or an error, 2 for wrong usage, 130 for an interruption.
 """
 
@@ -21,10 +22,22 @@ from typing import Any, NoReturn
 
 from magical import __version__, commands
 from magical.commands._common import FAILED, INTERRUPTED, USAGE, UsageError
-from magical.errors import MagicalError, PlanError, UnknownNameError
+from magical.errors import MagicalError, MissingDependencyError, PlanError, UnknownNameError
 from magical.extras import missing
 from magical.messages import for_terminal
+from magical.plugins import load_plugin, plugins
 from magical.tasks.registry import import_tasks
+
+GROUP = "magical.commands"  # of the entry points, each a module like those in `magical/commands`
+# The commands of the other distributions of this project.
+COMPANIONS = {
+    "train": "magical-baselines",
+    "run": "magical-baselines",
+    "status": "magical-baselines",
+    "quickstart": "magical-baselines",
+    "explain": "magical-goals",
+    "play": "magical-play",
+}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -34,7 +47,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         with _termination_as_interrupt(), warnings.catch_warnings():
             warnings.showwarning = _show_warning
-            arguments = build_parser().parse_args(_import_modules(argv) or ["--help"])
+            words = _import_modules(argv) or ["--help"]
+            _require_companion(words)
+            arguments = build_parser().parse_args(words)
             status = int(arguments.run(arguments))
         print(end="", flush=True)  # there may be no standard output to flush
     except SystemExit as stop:  # argparse: --help, --version, wrong usage
@@ -83,7 +98,7 @@ def build_parser() -> argparse.ArgumentParser:
     _add_import(parser)
     parser.add_argument("--env-name", action=_PublishedOption, help=argparse.SUPPRESS)
     subparsers = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for name, module in find_commands():
+    for name, module in find_commands().items():
         sub = subparsers.add_parser(name, help=module.HELP, description=module.__doc__)
         module.configure(sub)
         sub.set_defaults(run=module.run)
@@ -136,11 +151,24 @@ def _add_import(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def find_commands() -> Iterator[tuple[str, ModuleType]]:
-    """Every command's name and module, alphabetically; names with an underscore are helpers."""
-    for name in sorted(entry.name for entry in pkgutil.iter_modules(commands.__path__)):
-        if not name.startswith("_"):
-            yield name, importlib.import_module(f"{commands.__name__}.{name}")
+def find_commands() -> dict[str, ModuleType]:
+    """Every command's module by name, alphabetically; names with an underscore are helpers."""
+    found = {name: load_plugin(GROUP, name) for name in plugins(GROUP)}
+    for entry in pkgutil.iter_modules(commands.__path__):
+        if not entry.name.startswith("_"):
+            found[entry.name] = importlib.import_module(f"{commands.__name__}.{entry.name}")
+    return dict(sorted(found.items()))
+
+
+def _require_companion(words: Sequence[str]) -> None:
+    """Raise `MissingDependencyError` if a command is that of a distribution not installed."""
+    distribution = COMPANIONS.get(words[0]) if words else None
+    if distribution and words[0] not in plugins(GROUP):
+        raise MissingDependencyError(
+            f"magical {words[0]}: this command is of {distribution}, which is not installed: pip "
+            f"install {distribution}; in a clone of the repository: pip install "
+            f"./{distribution.removeprefix('magical-')}"
+        )
 
 
 def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:

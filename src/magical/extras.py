@@ -9,15 +9,11 @@ from magical.errors import MissingDependencyError
 
 # Top-level modules by extra.
 EXTRAS = {
-    "learning": ("torch", "safetensors"),
     "report": ("jinja2", "matplotlib"),
     "video": ("av",),
     "minari": ("minari", "h5py"),
     "lerobot": ("av", "pyarrow"),
     "hub": ("huggingface_hub",),
-    "web": ("starlette", "uvicorn", "websockets", "h11"),
-    "ray": ("ray",),
-    "tensorboard": ("tensorboard",),
 }
 
 

@@ -1,6 +1,6 @@
-"""Tasks, observations, networks, perceptions, algorithms, experts, policies: built-in or plug-ins.
+"""Tasks, observations, experts, policies, algorithms, networks, commands: built-in or plug-ins.
 
-Another distribution offers one through an entry point, for instance
+A distribution offers one through an entry point, for instance
 
     [project.entry-points."magical.algorithms"]
     my-bc = "my_package.bc:ALGORITHM"
@@ -11,7 +11,6 @@ line and in calls. Names that are read from files go through `require_imported` 
 
 import importlib
 import importlib.util
-import pkgutil
 import shlex
 import sys
 from collections.abc import Mapping
@@ -38,26 +37,21 @@ _imported_files: dict[Path, tuple[int, ModuleType]] = {}  # mtime_ns, module
 
 @dataclass(frozen=True, slots=True)
 class Registry(Generic[T]):
-    """Named objects of one kind: built-in ones, entry points, and `module:NAME`.
+    """Named objects of one kind: entry points, and `module:NAME`.
 
     Attributes:
         noun: what they are, for messages, such as `algorithm`.
         kind: their type; a protocol must be `runtime_checkable`.
         group: the group of the entry points, such as `magical.algorithms`.
-        package: the package with one file for each built-in object, named after it (with `_` for
-            `-`); files whose names begin with `_` are helpers.
-        attribute: the attribute to take from each file.
     """
 
     noun: str
     kind: type[T]
     group: str
-    package: str
-    attribute: str
 
     def names(self) -> list[str]:
-        """The built-in names and those of entry points, alphabetically; nothing is imported."""
-        return sorted({*_files(self.package), *plugins(self.group)})
+        """The names of the entry points, alphabetically; nothing is imported."""
+        return sorted(plugins(self.group))
 
     def get(self, name: str) -> T:
         """The object with a name, or the one that `module:NAME` refers to.
@@ -66,29 +60,17 @@ class Registry(Generic[T]):
             UnknownNameError: there is none with this name; the message lists the names.
             PluginError: it cannot be imported, or has the wrong type.
         """
-        if name in (files := _files(self.package)):
-            module = importlib.import_module(f"{self.package}.{files[name]}")
-            thing = getattr(module, self.attribute)
-        elif is_plugin(self.group, name):
-            thing = load_plugin(self.group, name)
-        else:
+        if not is_plugin(self.group, name):
             raise UnknownNameError(
                 f"{self.noun} {name!r} is unknown; expected one of: {', '.join(self.names())}; or "
                 "module:NAME"
             )
+        thing = load_plugin(self.group, name)
         if not isinstance(thing, self.kind):
             raise PluginError(
                 f"{self.noun} {name!r}: expected {self.kind.__name__}, found {type(thing).__name__}"
             )
         return thing
-
-
-@cache
-def _files(package: str) -> Mapping[str, str]:
-    """The names of the objects in a package, and those of their files."""
-    path = importlib.import_module(package).__path__
-    files = (entry.name for entry in pkgutil.iter_modules(path))
-    return {file.replace("_", "-"): file for file in files if not file.startswith("_")}
 
 
 @cache

@@ -6,12 +6,12 @@ python -m studies.intent.beliefs --demos FOLDER [--picture FILE]
 import argparse
 from pathlib import Path
 
-from magical.learning.algorithms.program_bc import ProgramBCConfig, infer_beliefs
-from magical.learning.data.expert_data import sample_demonstrations
-from magical.learning.intent.picture import draw_beliefs
-from magical.learning.intent.posterior import Belief
-from magical.learning.objects.data import parse_demonstrations
-from magical.learning.objects.parser import parse_frames
+from magical_goals.program_bc import ProgramBCConfig, infer_beliefs
+from magical_baselines.data.expert_data import sample_demonstrations
+from magical_goals.intent.picture import draw_beliefs
+from magical_goals.intent.posterior import Belief
+from magical_goals.objects.data import parse_demonstrations
+from magical_goals.objects.parser import parse_frames
 from magical.tasks import TASKS, get_task
 from tools.readme_tables import table
 

@@ -20,10 +20,10 @@ from magical.envs import EnvId, env_spec
 from magical.envs.seeds import evaluation_seed
 from magical.evaluation import read_entry
 from magical.grouping import group_by
-from magical.learning.algorithms.program_bc import beliefs_of
-from magical.learning.intent.acting import Intention
-from magical.learning.intent.posterior import Belief
-from magical.learning.objects.hindsight import ROBOT_TARGET
+from magical_goals.program_bc import beliefs_of
+from magical_goals.intent.acting import Intention
+from magical_goals.intent.posterior import Belief
+from magical_goals.objects.hindsight import ROBOT_TARGET
 from magical.scene import Poses, Scene, State
 from magical.tasks.axes import full_variant
 from magical.tasks.programs import Goal

@@ -2,7 +2,7 @@
 
 magical train bc --network studies.intent.object_networks:DEEP_SET --observation LoRes4A ...
 
-Architectures, in the sense of `magical.learning.networks`, whose "convolutions" parse the oldest
+Architectures, in the sense of `magical_baselines.networks`, whose "convolutions" parse the oldest
 and the newest frame of a stack and take robot, blocks and regions as a set: a deep set (Zaheer et
 al., NeurIPS 2017) or a set transformer (attention among the elements, as in Lee et al., ICML 2019).
 They need images without augmentation.
@@ -14,8 +14,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from magical.learning.objects.parser import parse_frames
-from magical.learning.objects.table import ObjectTable, to_table
+from magical_goals.objects.parser import parse_frames
+from magical_goals.objects.table import ObjectTable, to_table
 from magical.observe.pixels import CHANNELS
 from magical.runs.sources import PARSER_SOURCES
 from magical.scene import Colour, Shape
@@ -118,7 +118,7 @@ class SetTransformer(nn.Module):
 
 @dataclass(frozen=True)
 class Architecture:
-    """What `magical.learning.networks` asks of an architecture."""
+    """What `magical_baselines.networks` asks of an architecture."""
 
     network: type[nn.Module]
     HIDDEN: tuple[int, ...] = (256,)

@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
-from magical.learning.objects.components import MAX_REGIONS, VIEW_HALF, Pixels
-from magical.learning.objects.parser import ABSENT, FAR, MAX_BLOCKS, ParsedFrames
+from magical_goals.objects.components import MAX_REGIONS, VIEW_HALF, Pixels
+from magical_goals.objects.parser import ABSENT, FAR, MAX_BLOCKS, ParsedFrames
 from magical.render import Renderer
 from magical.scene import COLOURS, SHAPES, Block, Pose, Poses, Region, Scene, View
 from magical.scene.constants import BLOCK_SIZE, FINGER_OPEN, FRAME_SIZE, SIDES, WORKSPACE_HALF
@@ -93,7 +93,7 @@ class FindObjects:
         self._detector: Detector | None = None
 
     def __call__(self, frames: Pixels, robot_alone: bool = False) -> ParsedFrames:
-        """See `magical.learning.objects.perception`."""
+        """See `magical_goals.objects.perception`."""
         if self._detector is None:
             detector = Detector().eval()
             state = torch.load(self._weights, weights_only=True)

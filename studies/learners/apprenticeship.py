@@ -21,15 +21,15 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from magical.envs.vector import MagicalVectorEnv
-from magical.learning.algorithms import read_config
-from magical.learning.algorithms.al import WEIGHTS, ALConfig, make_autoencoder
-from magical.learning.algorithms.ppo import make_samples, ppo_loss
-from magical.learning.augmentation.augment import to_unit
-from magical.learning.data.expert_data import ExpertData, sample_demonstrations
-from magical.learning.reinforcement.replay_buffer import ROLLOUTS
-from magical.learning.reinforcement.reward_normalisation import RewardNormaliser, reward_floor
-from magical.learning.reinforcement.rollouts import Rollout
-from magical.learning.running.checkpoints import load_checkpoint
+from magical_baselines.algorithms import read_config
+from magical_baselines.algorithms.al import WEIGHTS, ALConfig, make_autoencoder
+from magical_baselines.algorithms.ppo import make_samples, ppo_loss
+from magical_baselines.augmentation.augment import to_unit
+from magical_baselines.data.expert_data import ExpertData, sample_demonstrations
+from magical_baselines.reinforcement.replay_buffer import ROLLOUTS
+from magical_baselines.reinforcement.reward_normalisation import RewardNormaliser, reward_floor
+from magical_baselines.reinforcement.rollouts import Rollout
+from magical_baselines.running.checkpoints import load_checkpoint
 from magical.runs.folder import CHECKPOINT
 from magical.scene import NUM_ACTIONS
 from magical.scene.poses import FINGERS, ROBOT

@@ -21,9 +21,9 @@ import numpy as np
 from magical.demos.generate import generate
 from magical.envs import EnvId
 from magical.evaluation import environments, evaluate, summarise
-from magical.learning import Config, train
-from magical.learning.algorithms.bc import BCConfig
-from magical.learning.algorithms.dagger import DAggerConfig
+from magical_baselines import Config, train
+from magical_baselines.algorithms.bc import BCConfig
+from magical_baselines.algorithms.dagger import DAggerConfig
 
 Row = dict[str, Any]
 

@@ -26,10 +26,10 @@ import torch
 from magical.demos.generate import generate
 from magical.envs import EnvId
 from magical.evaluation import evaluate
-from magical.learning import load_policy, train
-from magical.learning.algorithms.bc import BCConfig, bc_loss, make_optimizer, make_policy
-from magical.learning.networks import network_names
-from magical.learning.running.devices import choose_compute
+from magical_baselines import load_policy, train
+from magical_baselines.algorithms.bc import BCConfig, bc_loss, make_optimizer, make_policy
+from magical_baselines.networks import network_names
+from magical_baselines.running.devices import choose_compute
 
 TASKS = ("MoveToCorner", "MatchRegions")
 SOLVED = 0.95  # mean score

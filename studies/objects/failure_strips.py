@@ -13,7 +13,7 @@ from pathlib import Path
 from PIL import Image, ImageDraw, ImageFont
 
 from magical.evaluation import Entry, RolloutScore, read_entry
-from magical.learning import load_policy
+from magical_baselines import load_policy
 from magical.report.figures.clips import Clip, record_rollouts
 from magical.tasks.axes import full_variant
 

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from magical.demos.generate import demonstrate
 from magical.demos.store.reader import TrajectorySource
 from magical.envs.ids import all_env_ids
-from magical.learning.objects import parser as p
-from magical.learning.objects.perception import Perception
+from magical_goals.objects import parser as p
+from magical_goals.objects.perception import Perception
 from magical.render import Renderer
 from magical.scene import Poses, Scene, View
 from magical.scene.constants import FINGER_OPEN
@@ -139,7 +139,7 @@ def show(variant: str, c: dict[str, NDArray[np.float64]]) -> None:
 
 
 def fit() -> None:
-    """Print the constants of `magical.learning.objects.parser` that are fitted."""
+    """Print the constants of `magical_goals.objects.parser` that are fitted."""
     rng = np.random.default_rng(SEED)
     features, shapes, directions, angles = [], [], [], []
     slope, offset = p.FINGER_SLOPE, p.FINGER_OFFSET

@@ -17,7 +17,7 @@ from magical.envs.env import MagicalEnv
 from magical.errors import DatasetError, TrajectoryError
 from magical.physics import Simulation
 from magical.scene import to_continuous
-from tests.conftest import SHARED
+from conftest import SHARED
 from tests.demos.conftest import MakeTrajectory, Run
 
 COLUMNS = "actions", "expert_actions", "policy_actions"

@@ -3,7 +3,7 @@
 import re
 from pathlib import Path
 
-from magical.experiments.plan import Plan, read_plan
+from magical_baselines.experiments.plan import Plan, read_plan
 from magical.plugins import import_user_module
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from magical.demos.generate import generate
 from magical.envs import EnvId
-from magical.experiments.plan import planned_runs, read_plan
+from magical_baselines.experiments.plan import planned_runs, read_plan
 from magical.runs.folder import read_json
 from studies.demonstrations import layout
 

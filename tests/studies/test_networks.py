@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from magical.learning.networks import find_network
+from magical_baselines.networks import find_network
 from studies.learners.networks import CANDIDATES
 
 

@@ -5,7 +5,7 @@ import pytest
 import torch
 from torch.nn import functional
 
-from magical.learning.objects.parser import ABSENT, parse_frames
+from magical_goals.objects.parser import ABSENT, parse_frames
 from magical.scene import COLOURS, SHAPES
 from studies.intent.perception import (
     CELLS,

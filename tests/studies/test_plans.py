@@ -6,7 +6,7 @@ import pytest
 
 from magical.evaluation import published_methods
 from magical.evaluation.protocol import Evaluation, environments
-from magical.experiments.plan import Plan, planned_runs
+from magical_baselines.experiments.plan import Plan, planned_runs
 from tests.studies import study_plans
 
 

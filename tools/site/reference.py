@@ -9,8 +9,8 @@ from pathlib import Path
 from unittest import mock
 
 from magical import cli, errors
-from magical.learning import Config, algorithm_names, find_algorithm
-from magical.learning.config import options
+from magical_baselines import Config, algorithm_names, find_algorithm
+from magical_baselines.config import options
 from tools import preset_tables, readme_tables
 from tools.run_notebook import read_notebook
 
@@ -32,10 +32,10 @@ MODULES = {
     "magical.evaluation.statistics": "Statistics over runs",
     "magical.evaluation.intervals": "Intervals",
     "magical.evaluation.collection": "Many entries in two files",
-    "magical.learning": "Training",
-    "magical.learning.config": "Configurations",
+    "magical_baselines": "Training",
+    "magical_baselines.config": "Configurations",
     "magical.runs": "Run folders",
-    "magical.experiments.status": "Plans in progress",
+    "magical_baselines.experiments.status": "Plans in progress",
 }
 COLAB = "https://colab.research.google.com/github"
 WIDTH = "80"  # columns of a command's help
@@ -95,7 +95,7 @@ def error_page() -> str:
 
 def command_pages() -> dict[str, str]:
     """A page for each command, with its help and that of its subcommands."""
-    rows = ((f"[`magical {name}`]({name}.md)", module.HELP) for name, module in cli.find_commands())
+    rows = ((f"[`magical {name}`]({name}.md)", module.HELP) for name, module in cli.find_commands().items())
     made = {
         "commands/index.md": (
             "# Commands\n\nEvery command takes `--help`; most take `--json`, with which the last "

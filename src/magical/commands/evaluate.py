@@ -115,7 +115,7 @@ def run(args: argparse.Namespace) -> int:
     )
     method = Path(args.policy).absolute().name if args.method is None else args.method  # also "."
     if args.out:
-        details = _details(args)
+        details = _details(args, policy)
         entry = Entry.of(policy, evaluation, method=method, details=details).merged(args.out)
     if args.leaderboard and (why := _why_unranked(entry, evaluation)):
         raise UsageError(f"--leaderboard: the entry would not be ranked: {'; '.join(why)}")
@@ -183,17 +183,17 @@ def _check_options(args: argparse.Namespace, policy: "Policy") -> None:
             raise UsageError(f"--{option.replace('_', '-')} needs --out, which writes the entry")
 
 
-def _details(args: argparse.Namespace) -> dict[str, Any]:
+def _details(args: argparse.Namespace, policy: "Policy") -> dict[str, Any]:
     """What the entry records in addition to the evaluation."""
     from magical.evaluation.entry import TRAINING_SEED
-    from magical.experiments.entries import evaluation_details
+    from magical.evaluation.provenance import evaluation_details
     from magical.report.found.statements import LOOKS
     from magical.runs.sources import LEARNED_FROM
 
     seed = args.training_seed
     stated = {LEARNED_FROM: args.learned_from, TRAINING_SEED: seed, LOOKS: args.looks}
     given = {name: value for name, value in stated.items() if value is not None}
-    recorded = evaluation_details(args.policy, args.out)
+    recorded = evaluation_details(policy, args.policy, args.out)
     if seed is not None and (trained := recorded.get(TRAINING_SEED, seed)) != seed:
         raise UsageError(
             f"--training-seed {seed}: {args.policy} records {trained}; leave the option out"

@@ -83,7 +83,7 @@ def _tabulate(args: argparse.Namespace, found: "Found", kind: str | None) -> int
     if kind and kind in FORMATS:
         FORMATS[kind](found, published, args.out)
     elif kind:
-        from magical.experiments.entries import policy_of
+        from magical.evaluation.provenance import policy_of
         from magical.report.pages.evaluated import write_page
 
         notes = write_page(

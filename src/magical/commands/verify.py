@@ -43,13 +43,13 @@ def run(args: argparse.Namespace) -> int:
 
     from magical.evaluation import load_policy, read_entry
     from magical.evaluation.verification import is_elsewhere, verify
-    from magical.experiments.entries import policy_of, recorded_threads
+    from magical.evaluation.provenance import policy_of, recorded_threads
     from magical.runs import versions
     from magical.runs.machine import machine
 
     entry = read_entry(args.entry)
     policy = load_policy(args.policy) if args.policy else policy_of(args.entry, entry)
-    with recorded_threads(entry):
+    with recorded_threads(policy, entry):
         found = verify(
             entry,
             policy,

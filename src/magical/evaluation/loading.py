@@ -24,14 +24,16 @@ BUILT_IN: dict[str, Callable[[], Policy]] = {
 }
 
 
-# The function that loads run folders. It is imported by name, as users' policies are: this package
-# is below `learning` and does not need PyTorch, which is imported when a run is loaded.
-RUN_LOADER = "magical.learning:load_policy"
 GROUP = "magical.policies"  # the group of other distributions' entry points
 # The group for functions that load the policies of another tool: `lerobot:PATH` is what the one
-# named `lerobot` returns for PATH.
+# named `lerobot` returns for PATH. The one named `run` loads run folders.
 LOADERS = "magical.policy_loaders"
-INTEGRATIONS = {"lerobot": "lerobot_env_magical"}  # in integrations/ of the repository, by loader
+RUN = "run"
+# By loader: its distribution, and the folder of the repository that holds it.
+LOADING = {
+    RUN: ("magical-baselines", "baselines"),
+    "lerobot": ("lerobot_env_magical", "integrations/lerobot_env_magical"),
+}
 
 
 class Acting(Protocol):
@@ -53,8 +55,8 @@ def load_policy(source: PolicySource) -> Policy:
 
             - a name in `BUILT_IN`, or of another distribution's entry point;
             - `lerobot:PATH`, or another loader's name and what it loads;
-            - a run folder, whose newest checkpoint is loaded (needs PyTorch;
-              `magical.learning.load_policy` also chooses the device, or greedy actions);
+            - a run folder, whose newest checkpoint is loaded by magical-baselines
+              (`magical_baselines.load_policy` also chooses the device, or greedy actions);
             - `module:name` or `path/to/file.py:name`. The working directory is searched last for
               the module, and only if it is found nowhere else;
             - a policy, or what such a name may refer to: an object with `act`, and `reset` if it
@@ -75,15 +77,15 @@ def load_policy(source: PolicySource) -> Policy:
     if name in BUILT_IN:
         return BUILT_IN[name]()
     if name not in policy_names() and Path(name).is_dir():
-        policy: Policy = _attribute(RUN_LOADER)(name)
-        return policy
+        name = f"{RUN}:{name}"
     loader, colon, what = name.partition(":")
     if colon and loader in plugins(LOADERS):
         return _as_policy(load_plugin(LOADERS, loader)(what), name)
-    if colon and loader in INTEGRATIONS:
+    if colon and loader in LOADING:
+        distribution, folder = LOADING[loader]
         raise MissingDependencyError(
-            f"policy {name!r}: this needs {INTEGRATIONS[loader]}, which is not installed; in a "
-            f"clone of the repository: pip install ./integrations/{INTEGRATIONS[loader]}"
+            f"policy {name!r}: this needs {distribution}, which is not installed; in a clone of "
+            f"the repository: pip install ./{folder}"
         )
     return _as_policy(_attribute(name), name)
 

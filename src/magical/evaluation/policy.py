@@ -37,6 +37,8 @@ class Policy(Protocol):
     - `in_processes` (bool): copies of it may act in several processes; it can be pickled.
     - `modules(tasks)`: the modules that such processes must import first.
     - `updates` (two integers): the updates of its training that are done, and those planned.
+    - `record` (dict): what entries state about it, such as `learned_from` and `training_seed`.
+    - `using_threads(number)`: a context in which its network uses that many CPU threads.
     - `exact` (bool): its actions are the same on every machine, so `magical verify` expects equal
       scores wherever it runs. Those of a network are not.
     """

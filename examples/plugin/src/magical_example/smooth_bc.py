@@ -13,18 +13,18 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from magical.learning.algorithms import Algorithm
-from magical.learning.augmentation.augment import to_unit
-from magical.learning.config import Config, DemonstrationSettings, NetworkSettings
-from magical.learning.data.expert_data import ExpertData, load_demonstrations
-from magical.learning.models import PolicyNetwork, Trunk
-from magical.learning.running.averages import Averages
-from magical.learning.running.checkpoints import StateDict, restoring
-from magical.learning.running.devices import choose_device
-from magical.learning.running.optimizers import load_optimizer, optimizer_state
-from magical.learning.running.run import Run
-from magical.learning.running.streams import Purpose, seeded_init, stream
-from magical.learning.settings import FRACTION, POSITIVE, option
+from magical_baselines.algorithms import Algorithm
+from magical_baselines.augmentation.augment import to_unit
+from magical_baselines.config import Config, DemonstrationSettings, NetworkSettings
+from magical_baselines.data.expert_data import ExpertData, load_demonstrations
+from magical_baselines.models import PolicyNetwork, Trunk
+from magical_baselines.running.averages import Averages
+from magical_baselines.running.checkpoints import StateDict, restoring
+from magical_baselines.running.devices import choose_device
+from magical_baselines.running.optimizers import load_optimizer, optimizer_state
+from magical_baselines.running.run import Run
+from magical_baselines.running.streams import Purpose, seeded_init, stream
+from magical_baselines.settings import FRACTION, POSITIVE, option
 
 LOG_EVERY = 50  # batches
 

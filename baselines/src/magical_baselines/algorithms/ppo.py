@@ -1,0 +1,369 @@
+"""Proximal policy optimisation (Schulman et al., 2017) with the settings of appendix B, Table 4.
+
+One update:
+
+1. collect a rollout: T steps of N environments with actions from the current policy;
+2. estimate the advantages A by generalised advantage estimation (GAE);
+3. for some epochs over shuffled minibatches, minimise the clipped surrogate loss with Adam.
+
+`train` uses the environment's reward; other algorithms pass learned ones to `improve_policy`.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, NamedTuple, Self, cast
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from magical.envs.episode import Reward
+from magical.errors import InvalidConfigError
+from magical_baselines.algorithms import Algorithm
+from magical_baselines.augmentation.augment import to_unit
+from magical_baselines.config import IMAGE_OBSERVATIONS, PUBLISHED, NetworkSettings
+from magical_baselines.models import ActorCritic, Trunk, centre, init_normal
+from magical_baselines.networks import GROUP as NETWORKS
+from magical_baselines.reinforcement.interaction import InteractionConfig, InteractionSettings
+from magical_baselines.reinforcement.monitoring import Metrics, explained_variance
+from magical_baselines.reinforcement.rollouts import Rollout, collect_rollout, shuffle_evenly
+from magical_baselines.reinforcement.trainer import InteractionTrainer
+from magical_baselines.running.averages import Averages
+from magical_baselines.running.checkpoints import StateDict, restoring
+from magical_baselines.running.optimizers import set_learning_rate
+from magical_baselines.running.replay import ReplayedStep
+from magical_baselines.running.run import Run
+from magical_baselines.running.streams import Purpose, seeded_init, stream
+from magical_baselines.settings import FRACTION, NOT_NEGATIVE, POSITIVE, option
+from magical.observe import STATE
+from magical.plugins import is_plugin
+from magical.runs.sources import SCORE
+from magical.tasks import Horizon, have_two_horizons, require_two_horizons
+
+VF_COEF = 0.5
+ADVANTAGE_EPSILON = 1e-8
+
+# What the preset `quick` changes, also in algorithms with learned rewards.
+QUICK: Mapping[str, Any] = {
+    "network": "light",
+    "init": "centred",
+    "precision": "auto",
+    "total_steps": 100_000,
+    "num_steps": 16,
+    "epochs": 4,
+    "minibatch_size": 64,
+    "learning_rate": 5e-4,
+    "clip_range": 0.2,
+    "gamma": 0.9,
+    "gae_lambda": 0.8,
+    "ent_coef": 1e-3,
+    "normalise_advantages": True,
+    "bootstrap": True,
+    "evaluate_every": 50,
+}
+
+# What `published-code` changes where rewards are learned (docs/specification.md, section 11).
+PUBLISHED_CODE: Mapping[str, Any] = {
+    "conventions": PUBLISHED,
+    "ent_coef": 2.5e-5,
+    "reward_std": 0.01,
+    "horizon": PUBLISHED,
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class PPOSettings(InteractionSettings):
+    """How a policy is improved by PPO; the defaults are Table 4's."""
+
+    init: str = option(
+        "torch", "initialisation of policies that observe images", choices=("torch", "centred")
+    )
+    horizon: str = option(
+        "appendix",
+        "horizon of all episodes; published: 240 steps for the Cluster tasks",
+        choices=("appendix", PUBLISHED),
+    )
+    epochs: int = option(12, "passes over the samples per update", POSITIVE)
+    minibatch_size: int = option(64, "samples per optimiser step", POSITIVE)
+    learning_rate: float = option(6e-5, "Adam's initial learning rate", POSITIVE)
+    clip_range: float = option(
+        0.01, "epsilon: initial clip range of the probability ratio", POSITIVE
+    )
+    anneal: bool = option(True, "anneal learning rate and clip range linearly to 0")
+    gamma: float = option(0.8, "discount factor", FRACTION)
+    gae_lambda: float = option(0.8, "lambda of generalised advantage estimation", FRACTION)
+    ent_coef: float = option(1e-5, "weight of the policy's entropy", NOT_NEGATIVE)
+    max_grad_norm: float = option(1.0, "gradients are clipped to this L2 norm", POSITIVE)
+    normalise_advantages: bool = option(
+        False, "in each update, normalise advantages to mean 0 and standard deviation 1"
+    )
+    bootstrap: bool = option(False, "bootstrap the value at the time limit instead of using 0")
+
+    @property
+    def env_horizon(self) -> Horizon:
+        """See `InteractionSettings`."""
+        return "published" if self.horizon == PUBLISHED else None
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReinforcementConfig(InteractionConfig):
+    """Base of the configurations of PPO and of all algorithms that contain PPO."""
+
+    networks: NetworkSettings = field(default_factory=NetworkSettings)
+    ppo: PPOSettings = field(default_factory=PPOSettings)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.ppo.horizon == PUBLISHED:
+            require_two_horizons(self.tasks)
+        if self.ppo.normalise_advantages and self.ppo.steps_per_update < 2:
+            raise InvalidConfigError(
+                "normalise_advantages: expected at least 2 environment steps per update, found 1"
+            )
+
+    @classmethod
+    def preset(cls, name: str, /, **settings: Any) -> Self:
+        """As `Config.preset`, but without a preset's `published` horizon if no task has one."""
+        if "horizon" in settings or cls.presets.get(name, {}).get("horizon") != PUBLISHED:
+            return super().preset(name, **settings)
+        config = super().preset(name, **settings, horizon="appendix")
+        return config.replace(horizon=PUBLISHED) if have_two_horizons(config.tasks) else config
+
+    @property
+    def training_samples(self) -> int:
+        """Every environment step, once per epoch."""
+        return self.environment_steps * self.ppo.epochs
+
+
+@dataclass(frozen=True, kw_only=True)
+class PPOConfig(ReinforcementConfig):
+    """Settings of proximal policy optimisation; the defaults are Table 4's."""
+
+    observations: ClassVar[tuple[str, ...]] = (*IMAGE_OBSERVATIONS, STATE)
+    presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
+        "paper": {},
+        # The environment's rewards are sparser than a discriminator's and need a longer time scale.
+        "quick": {**QUICK, "minibatch_size": 128, "gamma": 0.95, "gae_lambda": 0.95},
+        # State vectors and the dense reward, on whose time scale an episode is short.
+        "states": {
+            **QUICK,
+            "observation": "state",
+            "network": "paper",
+            "total_steps": 1_500_000,
+            "num_envs": 16,
+            "num_steps": 128,
+            "epochs": 8,
+            "minibatch_size": 256,
+            "learning_rate": 7e-4,
+            "gamma": 0.99,
+            "gae_lambda": 0.95,
+            "ent_coef": 3e-3,
+        },
+    }
+
+    algorithm: str = "ppo"
+    reward: str = option("dense", "the environment's reward", choices=("dense", "score"))
+
+    @property
+    def learned_from(self) -> tuple[str, ...]:
+        """See `Config`."""
+        return (*super().learned_from, SCORE)
+
+
+def train(config: PPOConfig, run: Run) -> None:
+    """Maximise the environment's reward."""
+    with PPOTrainer(config, run, cast(Reward, config.reward)) as ppo:
+        for update in ppo.remaining_updates():
+            rollout = ppo.collect_rollout(update)
+            metrics = ppo.improve_policy(update, rollout, rollout.rewards)
+            if ppo.finish_update(update, metrics):
+                break
+
+
+def make_policy(config: ReinforcementConfig) -> ActorCritic:
+    """The actor-critic of PPO-based algorithms, without batch norm, initialised from the seed."""
+    networks = config.networks
+    with seeded_init(config.seed):
+        trunk = Trunk(networks.network, config.input_shape, pixel_range=networks.pixel_range)
+        network = ActorCritic(trunk, len(config.tasks))
+        if config.ppo.init == "centred" and trunk.convolutions is not None:
+            centre(network)
+        if networks.published:
+            init_normal(network.policy, network.value)
+        return network
+
+
+class PPOTrainer(InteractionTrainer):
+    """An actor-critic, its optimiser and its environments."""
+
+    config: ReinforcementConfig
+    network: ActorCritic
+
+    def __init__(self, config: ReinforcementConfig, run: Run, reward: Reward = "none") -> None:
+        """See `InteractionTrainer`."""
+        super().__init__(config, run, make_policy(config), config.ppo.learning_rate, reward)
+        # A plug-in's network may wait for the device, which cannot be recorded.
+        own = not is_plugin(NETWORKS, config.networks.network)
+        self._replayed = ReplayedStep(self.optimizer, own and self.device == "cuda")
+
+    def remaining_updates(self) -> range:
+        """The numbers of the remaining updates."""
+        return range(max(self.run.step - self.previous_steps, 0), self.config.ppo.num_updates)
+
+    def forward(
+        self, observations: Tensor, tasks: Tensor, in_range: bool = False
+    ) -> tuple[Tensor, Tensor]:
+        """Logits (B, 18) and values (B,), float32, of inputs (B, ...); `in_range`: see `Trunk`."""
+        with self.compute.autocast():
+            logits, values = self.network.logits_and_values(observations, tasks, in_range=in_range)
+        return logits.float(), values.float()
+
+    def collect_rollout(self, update: int) -> Rollout:
+        """Step all environments T times with actions sampled from the current policy."""
+        ppo, rng = self.config.ppo, stream(self.config.seed, Purpose.ACTIONS, update)
+        with self.monitor.timed("sample"):
+            rollout = collect_rollout(self.envs, self.forward, ppo.num_steps, ppo.bootstrap, rng)
+        self.monitor.add_rollout(rollout.actions, rollout.scores)
+        return rollout
+
+    def improve_policy(self, update: int, rollout: Rollout, rewards: Tensor) -> Metrics:
+        """Train on a rollout with rewards (T, N) for `epochs` passes of minibatch steps."""
+        config, ppo = self.config, self.config.ppo
+        averages = Averages()
+        with self.monitor.timed("policy"):
+            samples = make_samples(
+                rollout, rewards, ppo.gamma, ppo.gae_lambda, ppo.normalise_advantages
+            )
+            # Scaled and converted once instead of in every epoch.
+            observations = self.compute.cast(self.network.trunk.to_range(samples.observations))
+            samples = samples._replace(observations=observations)
+            left = 1.0 - update / ppo.num_updates if ppo.anneal else 1.0
+            set_learning_rate(self.optimizer, ppo.learning_rate * left)
+            clip_range = torch.tensor(ppo.clip_range * left, device=self.device)
+            rng = stream(config.seed, Purpose.MINIBATCHES, update)
+            tasks = np.tile(self.envs.task_of, ppo.num_steps)  # (T * N,)
+            for _ in range(ppo.epochs):
+                order = torch.from_numpy(shuffle_evenly(tasks, rng)).to(self.device)
+                for rows in torch.split(order, ppo.minibatch_size):
+                    minibatch = samples.select(rows)
+                    averages.add(len(rows), **self._replayed(self._step, clip_range, *minibatch))
+        return {
+            "reward": rewards.mean().item(),
+            "reward_std": rewards.std(correction=0).item(),
+            **averages.reset(),
+            "explained_variance": explained_variance(rollout.values.flatten(), samples.returns),
+        }
+
+    def _step(self, clip_range: Tensor, *samples: Tensor) -> dict[str, Tensor]:
+        """Take one optimiser step on a minibatch of `Samples`; returns the parts of the loss."""
+        minibatch = Samples(*samples)
+        logits, values = self.forward(minibatch.observations, minibatch.tasks, in_range=True)
+        loss, parts = ppo_loss(logits, values, minibatch, clip_range, self.config.ppo.ent_coef)
+        self.optimizer.zero_grad()
+        torch.autograd.backward(loss)
+        nn.utils.clip_grad_norm_(self.network.parameters(), self.config.ppo.max_grad_norm)
+        self.optimizer.step()
+        return parts
+
+    def state_dict(self) -> StateDict:
+        """See `InteractionTrainer`."""
+        return {"policy": self.network.state_dict(), "ppo": super().state_dict()}
+
+    def start_or_resume(self) -> None:
+        """See `InteractionTrainer`."""
+        saved = self.run.saved or {}
+        if "ppo" not in saved:
+            self.envs.reset()
+            return
+        with restoring(self.run.folder):
+            self.network.load_state_dict(saved["policy"])
+            self.load_state_dict(saved["ppo"])
+
+
+class Samples(NamedTuple):
+    """The B = T * N samples of a rollout, or a minibatch of them."""
+
+    observations: Tensor  # (B, ...) network inputs
+    actions: Tensor  # (B,) int64
+    log_probs: Tensor  # (B,), of the actions under the policy that collected them
+    advantages: Tensor  # (B,)
+    returns: Tensor  # (B,), the value targets
+    tasks: Tensor  # (B,) int64
+
+    def select(self, rows: Tensor) -> "Samples":
+        """The minibatch of these rows."""
+        return Samples(*(part[rows] for part in self))
+
+
+def make_samples(
+    rollout: Rollout, rewards: Tensor, gamma: float, gae_lambda: float, normalise: bool
+) -> Samples:
+    """Flatten a rollout, time-major, with the advantages and value targets of rewards (T, N)."""
+    advantages = compute_gae(rollout, rewards, gamma, gae_lambda)
+    returns = advantages + rollout.values
+    if normalise:
+        advantages = (advantages - advantages.mean()) / (advantages.std() + ADVANTAGE_EPSILON)
+    return Samples(
+        to_unit(rollout.observations.flatten(0, 1)),
+        rollout.actions.flatten(),
+        rollout.log_probs.flatten(),
+        advantages.flatten(),
+        returns.flatten(),
+        rollout.tasks.repeat(len(rewards)),
+    )
+
+
+def compute_gae(rollout: Rollout, rewards: Tensor, gamma: float, gae_lambda: float) -> Tensor:
+    """Generalised advantage estimates (T, N) for rewards (T, N).
+
+    A_t = delta_t + gamma * lambda * (1 - done_t) * A_{t+1}, where
+    delta_t = r_t + gamma * V(s_{t+1}) - V(s_t). At the end of an episode, V(s_{t+1}) is 0 or the
+    value of the final observation; `Rollout.next_values` already contains the right one.
+    """
+    deltas = rewards + gamma * rollout.next_values - rollout.values
+    weights = gamma * gae_lambda * ~rollout.dones
+    advantages = torch.empty_like(deltas)
+    following = torch.zeros_like(deltas[0])
+    for t in reversed(range(len(deltas))):
+        following = deltas[t] + weights[t] * following
+        advantages[t] = following
+    return advantages
+
+
+def ppo_loss(
+    logits: Tensor, values: Tensor, minibatch: Samples, clip_range: Tensor, ent_coef: float
+) -> tuple[Tensor, dict[str, Tensor]]:
+    """The loss to be minimised, and its parts.
+
+    With ratio = pi(a | s) / pi_old(a | s),
+
+        policy loss = -mean(min(ratio * A, clip(ratio, 1 - epsilon, 1 + epsilon) * A))
+        value loss = 0.5 * mean((V(s) - return)^2)
+        loss = policy loss + value loss - ent_coef * entropy
+
+    Args:
+        logits: (B, 18) of the current policy pi.
+        values: (B,) of the current value function V.
+        minibatch: the samples.
+        clip_range: (), epsilon.
+        ent_coef: the weight of the entropy.
+    """
+    log_policy = logits.log_softmax(dim=1)  # (B, 18)
+    log_probs = log_policy.gather(1, minibatch.actions[:, None]).squeeze(1)
+    ratio = (log_probs - minibatch.log_probs).exp()
+    clipped = ratio.clamp(1.0 - clip_range, 1.0 + clip_range)
+    advantages = minibatch.advantages
+    policy_loss = -torch.minimum(ratio * advantages, clipped * advantages).mean()
+    value_loss = VF_COEF * (values - minibatch.returns).square().mean()
+    entropy = -(log_policy.exp() * log_policy).sum(dim=1).mean()
+    loss = policy_loss + value_loss - ent_coef * entropy
+    clip_fraction = ((ratio - 1.0).abs() > clip_range).float().mean()
+    return loss, {
+        "policy_loss": policy_loss,
+        "value_loss": value_loss,
+        "entropy": entropy,
+        "clip_fraction": clip_fraction,
+    }
+
+
+ALGORITHM = Algorithm(PPOConfig, train, make_policy)

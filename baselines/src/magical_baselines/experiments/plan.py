@@ -1,0 +1,394 @@
+"""A plan: which methods are trained on which tasks with which seeds, and how they are evaluated.
+
+docs/experiments.md describes the files of plans, which have the fields of `Plan` and `Method` as
+keys.
+"""
+
+import hashlib
+import json
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from importlib.resources import files
+from pathlib import Path
+from typing import Annotated, Any
+
+from msgspec import Meta
+
+from magical.envs.episode import checked_nudge
+from magical.errors import MagicalError, PlanError, PluginError
+from magical.evaluation import BUILT_IN
+from magical.evaluation.protocol import ROLLOUTS, Evaluation, environments
+from magical.experts import get_planner
+from magical.experts.noise import check_share
+from magical_baselines import Config, find_algorithm
+from magical_baselines.algorithms import references
+from magical_baselines.config import DemonstrationSettings, options
+from magical.messages import quoted
+from magical.plugins import require_imported
+from magical.runs.plan import ListedRun, file_name
+from magical.tasks import TASKS, load_task, parse_horizon
+from magical.tasks.axes import full_variant
+from magical.untrusted import read_toml
+
+PLANS = Path(str(files("magical_baselines"))) / "plans"  # those of this package
+EXPERT = "expert"  # as `demos`: demonstrations of the scripted experts, generated for the plan
+DATASET = "dataset"  # in records: demonstrations from a folder, without its path
+DIGITS = 10  # hexadecimal digits of a run's identity
+MAX_RUNS = 100_000
+OF_THE_PLAN = ("tasks", "seed", "demos")  # settings that a method cannot change
+
+AtLeastOne = Meta(min_length=1)
+Count = Annotated[int, Meta(ge=1, le=2**31 - 1)]
+Seed = Annotated[int, Meta(ge=0, le=2**31 - 1)]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Method:
+    """One row of the tables: an algorithm with its settings.
+
+    Attributes:
+        name: the row's name; a row named as in the published tables is shown next to theirs.
+        algorithm: for instance `bc`.
+        preset: the preset of the algorithm's configuration; empty for the plan's.
+        multi_task: one run learns all tasks of the plan, instead of a run for each task.
+        settings: fields of the configuration that differ from the preset.
+
+    Raises:
+        PlanError: an empty or unprintable name, or an unknown algorithm or setting.
+    """
+
+    name: Annotated[str, Meta(max_length=100)]
+    algorithm: str
+    preset: str = ""
+    multi_task: bool = False
+    settings: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not self.name.strip() or not self.name.isprintable():
+            raise PlanError(f"name: expected printable characters, found {quoted(self.name)}")
+        with _plan_errors("algorithm: "):
+            require_imported(self.algorithm, "the plan")
+            config = find_algorithm(self.algorithm).config
+        known = [name for option in options(config) if (name := option.name) not in OF_THE_PLAN]
+        for name in self.settings:
+            if name not in known:
+                raise PlanError(f"settings.{name}: unknown; expected some of: {', '.join(known)}")
+        with _plan_errors("settings: "):
+            for name in references(config, self.settings):
+                require_imported(name, "the plan")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Plan:
+    """A grid of runs: methods x tasks x seeds; a multi-task method has one run for each seed.
+
+    Attributes:
+        methods: the rows of the tables.
+        tasks: the tasks' names.
+        seeds: the seeds of training; each also chooses the run's demonstrations.
+        demos: `expert`, or a folder with a dataset.
+        add_expert: add the scripted experts' demonstrations to the folder's.
+        num_demos: demonstrations of each task that a run learns from.
+        expert_demos: expert demonstrations generated for each task, to choose from.
+        perturb: the share of their control steps that have a random action.
+        min_score: expert demonstrations that score less are dropped, and others generated.
+        preset: the preset of methods that name none.
+        threads: CPU threads of each run. Scores are equal only for the same number, so it belongs
+            to the plan, not to the machine.
+        rollouts: the number of rollouts on each variant.
+        variants: each task is evaluated on those that it has; empty for all.
+        horizon: the horizon of evaluation, in any form that `magical.tasks.parse_horizon` takes.
+        nudge: the nudge of evaluation, see `Evaluation`.
+        references: built-in policies that are evaluated too, such as `expert`.
+
+    Raises:
+        PlanError: unknown names, values out of range, or the same name twice.
+    """
+
+    methods: Annotated[tuple[Method, ...], AtLeastOne]
+    tasks: Annotated[tuple[str, ...], AtLeastOne] = field(default_factory=lambda: tuple(TASKS))
+    seeds: Annotated[tuple[Seed, ...], AtLeastOne] = (0,)
+    demos: str = EXPERT
+    add_expert: bool = False
+    num_demos: Count = 10
+    expert_demos: Count = 25
+    perturb: float = 0.0
+    min_score: Annotated[float, Meta(ge=0, le=1)] = 0.0
+    preset: str = "paper"
+    threads: Count = 1
+    rollouts: Count = ROLLOUTS
+    variants: tuple[str, ...] = ()
+    horizon: int | str | None = None
+    nudge: float = 0.0
+    references: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        with _plan_errors():
+            check_share("perturb", self.perturb)
+            checked_nudge(self.nudge)
+            object.__setattr__(self, "horizon", parse_horizon(self.horizon))
+        with _plan_errors("tasks: "):
+            for name in self.tasks:
+                require_imported(name, "the plan")
+            names = tuple(load_task(name).name for name in self.tasks)
+            object.__setattr__(self, "tasks", names)
+        with _plan_errors("variants: "):
+            object.__setattr__(self, "variants", tuple(map(full_variant, self.variants)))
+        if unknown := [name for name in self.references if name not in BUILT_IN]:
+            raise PlanError(
+                f"references: expected some of {', '.join(BUILT_IN)}, found {quoted(unknown[0])}"
+            )
+        _require_each_once("methods: name", [method.name for method in self.methods])
+        for key in ("tasks", "seeds", "variants", "references"):
+            _require_each_once(key, getattr(self, key))
+        if len(self.methods) * len(self.tasks) * len(self.seeds) > MAX_RUNS:
+            raise PlanError(f"expected at most {MAX_RUNS} runs, found more")
+
+
+@contextmanager
+def _plan_errors(prefix: str = "") -> Iterator[None]:
+    """Raise errors in a value as `PlanError`."""
+    try:
+        yield
+    except (PluginError, ValueError) as error:
+        raise PlanError(f"{prefix}{error}") from error
+
+
+def _require_each_once(key: str, values: Sequence[Any]) -> None:
+    for value in values:
+        if values.count(value) > 1:
+            raise PlanError(f"{key}: expected each once, found {quoted(value)} twice")
+
+
+def find_plan(name: str) -> Path:
+    """The file of one of this package's plans, such as `quick`, or the file at a path.
+
+    Raises:
+        PlanError: there is neither.
+    """
+    for path in (PLANS / f"{name}.toml", Path(name)):
+        if path.is_file():
+            return path
+    known = ", ".join(sorted(path.stem for path in PLANS.glob("*.toml")))
+    raise PlanError(f"{name}: expected a file with a plan in TOML, or one of {known}; found none")
+
+
+def read_plan(path: Path, demos: str | None = None) -> Plan:
+    """Read a plan from a TOML file.
+
+    Args:
+        path: the file.
+        demos: replaces the file's `demos`.
+
+    Raises:
+        PlanError: not TOML, unknown names, values of other types, settings that cannot be combined,
+            or the same run twice.
+        MissingDependencyError: PyTorch is not installed.
+    """
+    plan = read_toml(path, Plan, PlanError)
+    try:
+        plan = plan if demos is None else replace(plan, demos=demos)
+        planned_runs(plan)
+    except PlanError as error:
+        raise PlanError(f"{path}: {error}") from error
+    return plan
+
+
+@dataclass(frozen=True, slots=True)
+class DemonstrationSource:
+    """Where a run's demonstrations are sampled from; by default there are none.
+
+    Attributes:
+        dataset: whether they come from the user's dataset.
+        expert_demos: the number of expert demonstrations generated for each task; `None` for none.
+        perturb: the share of these demonstrations' control steps that have a random action.
+        min_score: the lowest score that these may have.
+    """
+
+    dataset: bool = False
+    expert_demos: int | None = None
+    perturb: float = 0.0
+    min_score: float = 0.0
+
+    @property
+    def kind(self) -> str:
+        """`dataset`, `expert`, or `dataset and expert`."""
+        return " and ".join([DATASET] * self.dataset + [EXPERT] * (self.expert_demos is not None))
+
+    @property
+    def generation(self) -> dict[str, float]:
+        """The settings of generated demonstrations that differ from the default."""
+        how = {"perturb": self.perturb, "min_score": self.min_score}
+        return {name: value for name, value in how.items() if value}
+
+    def __str__(self) -> str:
+        """Such as `dataset`, or `expert, perturb 0.2`."""
+        how = (f"{name} {value:g}" for name, value in self.generation.items())
+        return ", ".join([self.kind, *how])
+
+    def settings(self) -> dict[str, Any]:
+        """What scores depend on in addition to the kind."""
+        return {"expert_demos": self.expert_demos, **self.generation}
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedRun:
+    """One training run of a plan, and its evaluation.
+
+    Attributes:
+        method: the method's name.
+        preset: the preset that `config` was made from.
+        config: the training configuration. Its `demos` is the plan's; the folder is known only when
+            the run is started.
+        source: the source of the demonstrations.
+        evaluation: how the policy is evaluated.
+        variants: the variants of the evaluation as the plan names them; empty for all.
+    """
+
+    method: str
+    preset: str
+    config: Config
+    source: DemonstrationSource
+    evaluation: Evaluation
+    variants: tuple[str, ...] = ()
+
+    @property
+    def tasks(self) -> tuple[str, ...]:
+        """The tasks that are learned, several in a multi-task run."""
+        return self.config.tasks
+
+    @property
+    def seed(self) -> int:
+        """The seed of training."""
+        return self.config.seed
+
+    @property
+    def identity(self) -> str:
+        """A digest of the method's name and of everything that the scores depend on."""
+        text = json.dumps({"method": self.method, **self.settings()}, sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()[:DIGITS]
+
+    @property
+    def folder(self) -> str:
+        """The name of the run's folder: readable, and different for different settings."""
+        tasks = self.tasks[0] if len(self.tasks) == 1 else "multi-task"
+        name = f"{file_name(self.method)}-{tasks}-seed{self.seed}-{self.identity}"
+        return name.lstrip("-")
+
+    def listed(self) -> ListedRun:
+        """The run as `plan.json` lists it."""
+        return ListedRun(self.folder, self.method, self.tasks, self.seed, self.config.num_updates)
+
+    def __str__(self) -> str:
+        """For messages, for instance `BC (ST), MoveToCorner, seed 0`."""
+        return str(self.listed())
+
+    def settings(self) -> dict[str, Any]:
+        """Everything that the scores depend on, as plain data for JSON; datasets without paths."""
+        config = self.config.to_dict()
+        if "demos" in config:
+            config["demos"] = self.source.kind
+        evaluation = {
+            "rollouts": self.evaluation.rollouts,
+            "variants": list(self.variants),
+            "horizon": self.evaluation.horizon or "appendix",
+            "nudge": self.evaluation.nudge,
+        }
+        return {"config": config, **self.source.settings(), "evaluation": evaluation}
+
+
+def planned_runs(plan: Plan) -> list[PlannedRun]:
+    """Every run of a plan, by method, then task, then seed.
+
+    Raises:
+        PlanError: a method's settings are invalid, or two runs are the same.
+    """
+    runs: list[PlannedRun] = []
+    for number, method in enumerate(plan.methods):
+        groups = [plan.tasks] if method.multi_task else [(task,) for task in plan.tasks]
+        for tasks in groups:
+            try:
+                first = _planned_run(plan, method, tasks)
+            except MagicalError as error:
+                raise PlanError(f"methods[{number}] ({method.name}): {error}") from error
+            runs += [replace(first, config=replace(first.config, seed=s)) for s in plan.seeds]
+    _require_distinct(runs)
+    return runs
+
+
+def planned_references(plan: Plan) -> list[tuple[str, Evaluation]]:
+    """A plan's reference policies, and how they are evaluated: one task at a time."""
+    evaluations = [planned_evaluation(plan, (task,)) for task in plan.tasks]
+    return [(name, evaluation) for name in plan.references for evaluation in evaluations]
+
+
+def _planned_run(plan: Plan, method: Method, tasks: tuple[str, ...]) -> PlannedRun:
+    """The run of a method on tasks with the plan's first seed."""
+    kind = find_algorithm(method.algorithm).config
+    names = {option.name for option in options(kind)}
+    from_plan: dict[str, Any] = {
+        "tasks": tasks,
+        "seed": plan.seeds[0],
+        "threads": plan.threads,
+        "demos": plan.demos,
+        "num_demos": plan.num_demos,
+        "workers": 0 if plan.threads == 1 else plan.threads,
+    }
+    given = {name: value for name, value in from_plan.items() if name in names}
+    preset = method.preset or plan.preset
+    given |= {"algorithm": method.algorithm, **method.settings}
+    config = kind.preset(preset, **given)
+    if config.threads < 1:
+        raise PlanError(f"threads: expected at least 1, found {config.threads}")
+    demonstrations = config.part(DemonstrationSettings)
+    source = (
+        _source(plan, tasks, demonstrations.num_demos) if demonstrations else DemonstrationSource()
+    )
+    evaluation = planned_evaluation(plan, tasks)
+    return PlannedRun(method.name, preset, config, source, evaluation, plan.variants)
+
+
+def planned_evaluation(plan: Plan, tasks: Sequence[str]) -> Evaluation:
+    """How a plan's runs on some tasks are evaluated.
+
+    Raises `UnknownNameError` for a task that has none of the plan's variants.
+    """
+    return Evaluation(
+        env_ids=tuple(environments(tasks, plan.variants or None)),
+        rollouts=plan.rollouts,
+        horizon=parse_horizon(plan.horizon),
+        nudge=plan.nudge,
+    )
+
+
+def _source(plan: Plan, tasks: Sequence[str], num_demos: int) -> DemonstrationSource:
+    """Where a run's `num_demos` demonstrations of each task come from."""
+    dataset = plan.demos != EXPERT
+    if plan.add_expert and not dataset:
+        raise PlanError(
+            f"add_expert: expected demos, or --demos, to be a folder with a dataset, found {EXPERT}"
+        )
+    if dataset and not plan.add_expert:
+        for name in ("perturb", "min_score"):
+            if getattr(plan, name):
+                raise PlanError(
+                    f"{name}: expected 0 for a dataset, found {getattr(plan, name)}: it is for "
+                    f'generated demonstrations (demos = "{EXPERT}", or add_expert)'
+                )
+        return DemonstrationSource(dataset=True)
+    for task in tasks:
+        get_planner(task)  # raises for a task without an expert
+    if not dataset and plan.expert_demos < num_demos:
+        raise PlanError(
+            f"expert_demos: expected at least num_demos, {num_demos}, found {plan.expert_demos}"
+        )
+    return DemonstrationSource(dataset, plan.expert_demos, plan.perturb, plan.min_score)
+
+
+def _require_distinct(runs: Iterable[PlannedRun]) -> None:
+    seen: dict[str, PlannedRun] = {}
+    for run in runs:
+        same = seen.setdefault(json.dumps(run.settings(), sort_keys=True), run)
+        if same is not run:
+            raise PlanError(f"expected each run once, found the same settings twice: {same}; {run}")

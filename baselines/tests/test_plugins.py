@@ -1,0 +1,213 @@
+"""An algorithm, a network and an observation of a module that is not ours."""
+
+import json
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import pytest
+
+from magical.cli import main
+from magical.errors import InvalidConfigError, PluginError, RunFolderError, UnknownNameError
+from magical_baselines import Config, find_algorithm, read_config, train
+from magical_baselines.algorithms.bc import BCConfig
+from magical_baselines.config import DemonstrationSettings, options
+from magical_baselines.networks import find_network
+from magical_baselines.settings import Settings, option
+from magical.runs.folder import CONFIG
+from baselines.tests.tiny_runs import same_weights, tiny
+
+MODULE = '''
+from dataclasses import dataclass
+from types import SimpleNamespace
+
+from torch import nn
+
+from magical_baselines.algorithms import Algorithm
+from magical_baselines.algorithms.bc import BCConfig, make_policy, train
+from magical_baselines.settings import POSITIVE, option
+from magical.observe import PixelSpec
+
+
+@dataclass(frozen=True, kw_only=True)
+class OwnConfig(BCConfig):
+    """Behavioural cloning with a setting of its own."""
+
+    algorithm: str = "own_learner:ALGORITHM"
+    patience: int = option(3, "how long", check=POSITIVE)
+
+
+ALGORITHM = Algorithm(OwnConfig, train, make_policy)
+NETWORK = SimpleNamespace(
+    HIDDEN=(8,), make_convolutions=lambda channels, batch_norm: nn.Conv2d(channels, 2, 8, 8)
+)
+
+DROPOUT = SimpleNamespace(
+    HIDDEN=(8,),
+    make_convolutions=lambda channels, batch_norm: nn.Sequential(
+        nn.Conv2d(channels, 2, 8, 8), nn.Dropout(0.5)
+    ),
+)
+
+
+class Own(PixelSpec):
+    def to_dict(self):
+        return "own_learner:OBSERVATION"
+
+
+OBSERVATION = Own((("ego", 2),))
+'''
+
+
+@pytest.fixture
+def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    (tmp_path / "lib").mkdir()
+    (tmp_path / "lib" / "own_learner.py").write_text(MODULE)
+    monkeypatch.syspath_prepend(tmp_path / "lib")
+    monkeypatch.delitem(sys.modules, "own_learner", raising=False)
+    return "own_learner"
+
+
+SIZE = ["--batches", "4", "--batch-size", "2", "--num-demos", "1", "--threads", "1"]
+
+
+def test_it_trains_resumes_and_is_evaluated_like_ours(
+    module: str, demos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = tmp_path / "run"
+    command = ["train", f"{module}:ALGORITHM", "--out", str(run)]
+    settings = ["--network", f"{module}:NETWORK", "--observation", f"{module}:OBSERVATION"]
+    more = ["--task", "MoveToCorner", "--demos", str(demos), *settings, *SIZE, "--patience", "7"]
+    assert main([*command, *more, "--stop-after", "2"]) == 0
+    assert "--resume --import own_learner\n" in capsys.readouterr().err
+    recorded = json.loads((run / CONFIG).read_text())
+    assert {name: recorded[name] for name in ("algorithm", "network", "observation")} == {
+        "algorithm": "own_learner:ALGORITHM",
+        "network": "own_learner:NETWORK",
+        "observation": "own_learner:OBSERVATION",
+    }
+    assert recorded["patience"] == 7
+    assert main([*command, "--resume"]) == 0
+    assert read_config(run).to_dict() == recorded
+    rollouts = ["--task", "MoveToCorner", "--variants", "Demo", "--rollouts", "1"]
+    assert main(["evaluate", str(run), *rollouts, "--workers", "0"]) == 0
+    capsys.readouterr()
+    assert main(["train", f"{module}:ALGORITHM", "--help"]) == 0
+    assert "--patience N" in capsys.readouterr().out
+
+
+def test_an_option_named_like_one_of_the_command(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, message in (
+        ("resume", "OwnConfig, resume: `magical train` has an option --resume of its own"),
+        ("run", "expected --task, --demos, found none"),  # as for any other name
+    ):
+        file = tmp_path / f"own_{name}.py"
+        file.write_text(MODULE.replace("patience", name))
+        out = ["--out", str(tmp_path / "run")]
+        assert main(["train", f"{file}:ALGORITHM", f"--{name}", "2", *out]) > 0
+        assert message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("algorithm", ["bc", "ppo", "gail", "iq-learn"])
+def test_a_network_with_dropout_learns_the_same_again_and_resumed(
+    algorithm: str, module: str, demos: Path, tmp_path: Path
+) -> None:
+    data = {} if algorithm == "ppo" else {"demos": str(demos)}
+    config = tiny(find_algorithm(algorithm).config, network=f"{module}:DROPOUT", **data)
+    train(config, tmp_path / "whole")
+    train(config, tmp_path / "parts", stop_after=1)
+    train(config, tmp_path / "parts", resume=True)
+    assert same_weights(tmp_path / "whole", tmp_path / "parts")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inner(Settings):
+    learning_rate: float = option(0.1, "another")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outer(Settings):
+    inner: Inner = field(default_factory=Inner)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bare(BCConfig):
+    patience: int = 3
+
+
+@dataclass(frozen=True, kw_only=True)
+class Nested(BCConfig):
+    outer: Outer = field(default_factory=Outer)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Twice(BCConfig):
+    inner: Inner = field(default_factory=Inner)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Chosen(BCConfig):
+    side: Literal["left", "right"] = option("left", "where")
+
+
+@pytest.mark.parametrize(
+    ("kind", "message"),
+    [
+        (Bare, r"Bare\.patience: expected option\(...\), or .*, found <class 'int'>"),
+        (Nested, r"Nested\.outer\.inner: expected option\(...\)"),
+        (
+            Twice,
+            r"Twice\.inner\.learning_rate: expected another name than Twice\.cloning\.learning",
+        ),
+        (Chosen, r"Chosen, side: expected int, float, str or bool, .* found typing\.Literal"),
+    ],
+)
+def test_a_class_that_has_no_options_says_which_field(kind: type[Config], message: str) -> None:
+    with pytest.raises(PluginError, match=message):
+        options(kind)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Anonymous(BCConfig):
+    pace: int = option(3, "how fast")  # and no name of an algorithm
+
+
+def test_a_configuration_that_could_not_be_read_again_is_not_trained_with(
+    demos: Path, tmp_path: Path
+) -> None:
+    config = Anonymous(
+        tasks=("MoveToCorner",), demonstrations=DemonstrationSettings(demos=str(demos))
+    )
+    with pytest.raises(InvalidConfigError, match="bc: expected a BCConfig, found a Anonymous"):
+        train(config, tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Named(BCConfig):
+    name: str = option("", "a note")
+
+
+def test_an_option_may_have_the_name_of_a_parameter() -> None:
+    config = Named.preset("quick", tasks=("MakeLine",), demos="demos", name="mine")
+    assert (config.name, Named.from_dict(config.to_dict())) == ("mine", config)
+
+
+def test_an_algorithm_that_is_not_installed_any_more_is_named_with_the_file(tmp_path: Path) -> None:
+    (tmp_path / CONFIG).write_text('{"algorithm": "gone"}')
+    with pytest.raises(RunFolderError, match=r"config\.json: algorithm 'gone' is unknown"):
+        read_config(tmp_path)
+
+
+def test_what_is_not_there_or_of_another_kind_is_named(module: str) -> None:
+    with pytest.raises(PluginError, match=r"expected Algorithm, found SimpleNamespace"):
+        find_algorithm(f"{module}:NETWORK")
+    with pytest.raises(PluginError, match=r"no 'OTHER' in the module, which has: "):
+        find_network(f"{module}:OTHER")
+    with pytest.raises(
+        UnknownNameError, match=r"algorithm 'own' is unknown; expected one of: act, al,"
+    ):
+        find_algorithm("own")

@@ -1,0 +1,193 @@
+"""Trained networks as policies, and runs loaded again."""
+
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor, nn
+
+from magical import evaluation
+from magical.envs import parse_env_id
+from magical.errors import CheckpointError, DivergedError, PolicyError, RunFolderError
+from magical.evaluation import Policy, evaluate
+from magical.evaluation.protocol import Evaluation
+from magical_baselines import NetworkPolicy, is_run, load_policy, train
+from magical_baselines.algorithms.bc import BCConfig
+from magical.observe import NAMED, PRESETS
+from magical.report.figures.clips import record_rollouts
+from magical.runs.folder import CHECKPOINT
+from baselines.tests.conftest import TASKS
+from baselines.tests.tiny_runs import CPU
+
+IDS = [f"magical/{task}-Demo-v0" for task in TASKS]
+
+
+class Fixed(nn.Module):
+    """Logits from a table, a row a task, plus the image's mean."""
+
+    def __init__(self, logits: Tensor) -> None:
+        super().__init__()
+        self.logits = logits
+        self.seen: list[Tensor] = []
+
+    def forward(self, images: Tensor, tasks: Tensor) -> Tensor:
+        self.seen.append(images)
+        return self.logits[tasks]
+
+
+def fixed(logits: Any, preset: str = "LoRes4E", greedy: bool = False) -> NetworkPolicy:
+    network = Fixed(torch.as_tensor(logits, dtype=torch.float32))
+    config = BCConfig.preset("paper", tasks=TASKS, demos="", observation=preset)
+    return NetworkPolicy(network, config, CPU, greedy)
+
+
+def test_actions_are_sampled_from_the_distribution_of_the_right_task() -> None:
+    logits = torch.full((2, 18), -1e4)
+    logits[0, [2, 17]] = torch.tensor([0.25, 0.75]).log()
+    logits[1, 5] = 0.0
+    policy = fixed(logits)
+    assert isinstance(policy, Policy)
+    ids = [IDS[0]] * 2000 + [IDS[1]] * 10
+    frames = np.zeros((len(ids), 96, 96, 12), np.uint8)
+    actions = policy.act(frames, ids, np.random.default_rng(0))
+    assert set(actions[:2000]) == {2, 17}
+    assert abs((actions[:2000] == 17).mean() - 0.75) < 0.03
+    assert (actions[2000:] == 5).all()
+    assert actions.dtype == np.int64
+    greedy = fixed(logits, greedy=True)
+    assert set(greedy.act(frames[:4], ids[:4], np.random.default_rng(0))) == {17}
+
+
+@pytest.mark.parametrize("preset", ["LoRes4E", "LoResCHW4E"])
+def test_both_channel_orders_reach_the_network_alike_in_unit_range(preset: str) -> None:
+    policy = fixed(torch.zeros(2, 18), preset)
+    frames = np.random.default_rng(0).integers(0, 256, (2, 96, 96, 12), dtype=np.uint8)
+    given = frames.transpose(0, 3, 1, 2) if PRESETS[preset].channels_first else frames
+    policy.act(given, IDS, np.random.default_rng(0))
+    expected = torch.from_numpy(frames).permute(0, 3, 1, 2) / 255.0
+    assert isinstance(policy.network, Fixed)
+    assert torch.allclose(policy.network.seen[0], expected, atol=1e-7)
+
+
+def test_wrong_observations_and_tasks_are_named() -> None:
+    policy = fixed(torch.zeros(2, 18))
+    rng = np.random.default_rng(0)
+    with pytest.raises(PolicyError, match=r"\(B, 96, 96, 12\), found uint8 of shape \(1, 64"):
+        policy.act(np.zeros((1, 64, 64, 12), np.uint8), IDS[:1], rng)
+    with pytest.raises(PolicyError, match="found float32"):
+        policy.act(np.zeros((1, 96, 96, 12), np.float32), IDS[:1], rng)
+    with pytest.raises(PolicyError, match="MoveToCorner, MoveToRegion; found magical/FindDupe"):
+        policy.act(np.zeros((1, 96, 96, 12), np.uint8), ["magical/FindDupe-Demo-v0"], rng)
+
+
+@pytest.mark.parametrize("bad", [torch.nan, torch.inf, -torch.inf])
+@pytest.mark.parametrize("greedy", [False, True])
+def test_logits_that_are_not_finite_are_an_error(bad: float, greedy: bool) -> None:
+    logits = torch.zeros(2, 18)
+    logits[1, 4] = bad
+    policy = fixed(logits, greedy=greedy)
+    frames = np.zeros((3, 96, 96, 12), np.uint8)
+    assert len(policy.act(frames, [IDS[0]] * 3, np.random.default_rng(0))) == 3
+    with pytest.raises(DivergedError, match=r"expected finite outputs, found -?(nan|inf);"):
+        policy.act(frames, [IDS[0], IDS[1], IDS[0]], np.random.default_rng(0))
+
+
+class Sharing:
+    """A user's policy whose tensors share the memory of what it is given."""
+
+    def __init__(self, observation: str, privileged: bool = False) -> None:
+        self.observation = observation
+        self.privileged = privileged
+
+    def reset(self, mask: Any) -> None:
+        pass
+
+    def act(self, observations: Any, env_ids: Any, rng: np.random.Generator) -> Any:
+        arrays = [observations]
+        if self.privileged:
+            arrays = [a for state in observations for a in (state.poses.bodies, state.velocities)]
+        elif isinstance(observations, dict):
+            arrays = list(observations.values())
+        for array in arrays:
+            torch.from_numpy(array)  # warns of an array that is not writeable
+        return rng.integers(18, size=len(env_ids))
+
+
+@pytest.fixture
+def every_warning() -> Iterator[None]:
+    """PyTorch gives this warning once in a process otherwise."""
+    before = torch.is_warn_always_enabled()
+    torch.set_warn_always(True)
+    yield
+    torch.set_warn_always(before)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.usefixtures("every_warning")
+@pytest.mark.parametrize(
+    ("observation", "workers"),
+    [*((name, 0) for name in (*PRESETS, *NAMED, "privileged")), ("LoRes4E", 2), ("raw", 2)],
+)
+def test_users_policies_may_share_memory_with_observations(observation: str, workers: int) -> None:
+    policy = Sharing(observation, privileged=observation == "privileged")
+    evaluate(policy, IDS[:1], rollouts=2, horizon=4, workers=workers)
+    rollouts = [(parse_env_id(IDS[0]), 0)]
+    record_rollouts(policy, Evaluation.of(IDS[:1]), rollouts, size=8)
+
+
+@pytest.fixture(scope="module")
+def run(demos: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    config = BCConfig.preset(
+        "quick", tasks=TASKS, demos=str(demos), num_demos=2, batches=2, batch_size=4
+    )
+    folder = tmp_path_factory.mktemp("policy") / "run"
+    train(config, folder)
+    return folder
+
+
+def test_a_run_is_loaded_with_its_observation_and_tasks(run: Path) -> None:
+    policy = load_policy(run)
+    assert isinstance(policy, NetworkPolicy)
+    assert is_run(run)
+    assert (policy.observation, policy.tasks) == ("LoRes4E", TASKS)
+    frames = np.random.default_rng(0).integers(0, 256, (2, 96, 96, 12), dtype=np.uint8)
+    once = policy.probabilities(frames, IDS)
+    np.testing.assert_array_equal(once, policy.probabilities(frames, IDS))
+    np.testing.assert_allclose(once.sum(axis=1), 1.0)
+    assert not policy.network.training
+
+
+def test_one_function_loads_runs_as_well_as_named_policies(
+    run: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    loaded = evaluation.load_policy(run)
+    assert isinstance(loaded, NetworkPolicy)
+    monkeypatch.chdir(run.parent)
+    named = evaluation.load_policy(run.name)
+    assert isinstance(named, NetworkPolicy)
+    weights, same = loaded.network.state_dict(), named.network.state_dict()
+    assert all(torch.equal(weights[name], same[name]) for name in weights)
+    with pytest.raises(RunFolderError, match="expected a run folder"):
+        evaluation.load_policy(run.parent)
+
+
+def test_folders_that_hold_no_usable_run_are_named(run: Path, tmp_path: Path) -> None:
+    with pytest.raises(RunFolderError, match="expected a run folder"):
+        load_policy(tmp_path)
+    copy = tmp_path / "copy"
+    shutil.copytree(run, copy)
+    config = (copy / "config.json").read_text()
+    (copy / "config.json").write_text(config.replace('"narrow"', '"paper"'))
+    with pytest.raises(CheckpointError, match="of another network"):
+        load_policy(copy)
+    (copy / "config.json").write_text(config)
+    (copy / CHECKPOINT).unlink()
+    with pytest.raises(CheckpointError, match="expected a readable file, found No such file"):
+        load_policy(copy)
+    (copy / "config.json").write_text("{")
+    with pytest.raises(RunFolderError, match=r"config\.json: expected JSON"):
+        load_policy(copy)

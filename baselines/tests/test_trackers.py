@@ -1,0 +1,138 @@
+"""Trackers: what each library is told of a run, and that a run that is resumed continues there."""
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Self
+
+import pytest
+
+from magical.cli import main
+from magical.errors import InvalidConfigError, MissingDependencyError
+from magical_baselines import train
+from magical_baselines.algorithms.bc import BCConfig
+from magical_baselines.trackers import opened_trackers
+from magical.runs import read_metrics
+from magical.runs.folder import opened_folder
+from baselines.tests.tiny_runs import tiny
+
+CONFIGURATION = {"algorithm": "bc", "seed": 3}
+
+
+class Wandb:
+    """Stands for the library and its sessions: keeps what its functions are called with."""
+
+    def __init__(self) -> None:
+        self.opened: list[dict[str, Any]] = []
+        self.logged: list[tuple[int, dict[str, float]]] = []
+        self.closed = 0
+
+    def init(self, **arguments: Any) -> Self:
+        self.opened.append(arguments)
+        return self
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.closed += 1
+
+    def log(self, metrics: dict[str, float], step: int) -> None:
+        self.logged.append((step, metrics))
+
+
+@pytest.fixture
+def wandb(monkeypatch: pytest.MonkeyPatch) -> Wandb:
+    library = Wandb()
+    monkeypatch.setitem(sys.modules, "wandb", library)
+    monkeypatch.delenv("WANDB_PROJECT", raising=False)
+    return library
+
+
+@pytest.fixture
+def begin(tmp_path: Path) -> Callable[[str], Path]:
+    """A function that makes a run folder."""
+
+    def make(name: str) -> Path:
+        with opened_folder(tmp_path / name, CONFIGURATION, resume=False):
+            return tmp_path / name
+
+    return make
+
+
+def log_twice(name: str, folder: Path) -> None:
+    """Log as a run does that is interrupted after step 4, with a checkpoint of step 2."""
+    metrics: dict[str, float | str] = {"loss": 0.5, "phase": "second"}
+    for step, steps in ((0, (2, 4)), (2, (4, 6))):
+        with opened_trackers([name], folder, step) as log:
+            for number in steps:
+                log(number, metrics)
+
+
+def test_a_session_of_wandb_continues_the_run(wandb: Wandb, begin: Callable[[str], Path]) -> None:
+    log_twice("wandb", begin("run"))
+    first, second = wandb.opened
+    assert first == second  # so that the second continues the first
+    assert (first["name"], first["project"], first["resume"], first["config"]) == (
+        ("run", "magical", "allow", CONFIGURATION)
+    )
+    assert wandb.logged == [(step, {"loss": 0.5}) for step in (2, 4, 4, 6)]
+    assert wandb.closed == 2
+    log_twice("wandb", begin("other"))
+    assert wandb.opened[2]["id"] != first["id"]
+
+
+@pytest.mark.filterwarnings("default")  # the library's own
+def test_wandb_itself(
+    begin: Callable[[str], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("wandb")
+    monkeypatch.setenv("WANDB_MODE", "offline")
+    monkeypatch.chdir(tmp_path)
+    log_twice("wandb", begin("run"))
+    files = list((tmp_path / "wandb").glob("offline-run-*/run-*.wandb"))
+    assert any(b"loss" in file.read_bytes() for file in files)
+
+
+def test_tensorboard_gets_the_metrics(begin: Callable[[str], Path]) -> None:
+    pytest.importorskip("tensorboard")
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    log_twice("tensorboard", folder := begin("run"))
+    events = EventAccumulator(str(folder / "tensorboard"))
+    events.Reload()
+    assert [(e.step, e.value) for e in events.Scalars("loss")] == [(2, 0.5), (4, 0.5), (6, 0.5)]
+
+
+def test_an_unknown_tracker_is_refused(tmp_path: Path) -> None:
+    with (
+        pytest.raises(InvalidConfigError, match="expected tensorboard or wandb, found 'aim'"),
+        opened_trackers(["aim"], tmp_path, 0),
+    ):
+        pass
+
+
+def test_training_logs_every_line(wandb: Wandb, demos: Path, tmp_path: Path) -> None:
+    config = tiny(BCConfig, tasks=("MoveToCorner",), demos=str(demos))
+    train(config, tmp_path / "run", track=["wandb"])
+    rows = read_metrics(tmp_path / "run")
+    assert [step for step, _ in wandb.logged] == [row["step"] for row in rows] != []
+    losses = [metrics["loss"] for _, metrics in wandb.logged]
+    assert losses == pytest.approx([row["loss"] for row in rows], abs=1e-6)
+
+
+def test_the_command_names_the_missing_library_and_leaves_no_folder(
+    demos: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setitem(sys.modules, "wandb", None)
+    config = tiny(BCConfig, tasks=("MoveToCorner",), demos=str(demos))
+    with pytest.raises(MissingDependencyError, match=r"tracker wandb.*pip install wandb"):
+        train(config, tmp_path / "first", track=["wandb"])
+    out = tmp_path / "run"
+    command = ["train", "bc", "--task", "MoveToCorner", "--demos", str(demos), "--out", str(out)]
+    assert main([*command, "--preset", "quick", "--track", "wandb"]) == 1
+    assert "pip install wandb" in capsys.readouterr().err
+    assert not out.exists()

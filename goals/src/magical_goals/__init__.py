@@ -1,0 +1,1 @@
+"""Learners of goals and of objects for the MAGICAL benchmark."""

@@ -1,0 +1,308 @@
+"""Object-centred behavioural cloning: parse the objects, choose a goal, act towards it.
+
+1. Frames are parsed into objects (by `magical_goals.objects.parser`, or a perception plugin).
+2. In hindsight, every recorded state gets the goal that was reached from it: which block was moved
+   next, and where to.
+3. A goal model learns the likelihood of those goals from relations between objects, and a
+   controller clones the demonstrator's actions given the goal, in the robot's frame.
+
+The goal model has separate functions for each task; the controller is shared by all. There are no
+published settings.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from magical.errors import InvalidConfigError
+from magical_baselines.algorithms import Algorithm
+from magical_baselines.config import Config, DemonstrationSettings
+from magical_baselines.data.expert_data import load_demonstrations
+from magical_goals.objects.components import MAX_REGIONS, Pixels
+from magical_goals.objects.control import Controller, control_inputs
+from magical_goals.objects.data import (
+    OBSERVATION,
+    ObjectData,
+    ParsedDemonstration,
+    parse_demonstrations,
+)
+from magical_goals.objects.goals import BORDER, CANDIDATES, REFITTED, GoalModel, goal_losses
+from magical_goals.objects.hindsight import ROBOT_TARGET
+from magical_goals.objects.parser import MAX_BLOCKS
+from magical_goals.objects.perception import PARSER, PERCEPTIONS, get_perception
+from magical_goals.objects.table import ObjectTable, to_table
+from magical_baselines.running.averages import Averages
+from magical_baselines.running.checkpoints import StateDict, restoring
+from magical_baselines.running.devices import choose_device, cpu_threads
+from magical_baselines.running.optimizers import load_optimizer, optimizer_state, set_learning_rate
+from magical_baselines.running.run import Run
+from magical_baselines.running.streams import Purpose, seeded_init, stream
+from magical_baselines.settings import FRACTION, NOT_NEGATIVE, POSITIVE, option
+from magical.observe.pixels import CHANNELS, STACK
+from magical.runs.sources import BENCHMARK_PRIOR, PARSER_SOURCES
+from magical.scene.actions import MIRRORED_ACTIONS
+from magical.tasks import get_task
+
+STANDS, STANDS_ANGLE = 0.01, 0.05  # units, rad: a robot that moved less over the stack stands still
+WEIGHT_DECAY = 1e-2  # of the controller
+DESTINATION_NOISE = 0.03  # units: standard deviation of the noise on the controller's destinations
+GOAL_EVERY = 8  # batches between updates of the goal model
+GOAL_BATCH_SIZE = 64  # samples of each task in an update of the goal model
+GOAL_LEARNING_RATE = 0.05  # initial rate of the goal model; annealed linearly to 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObjectBCConfig(Config):
+    """Settings of object-centred behavioural cloning."""
+
+    presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
+        "paper": {},
+        "quick": {"batches": 3000, "precision": "auto"},
+    }
+    seconds_each: ClassVar[tuple[float, float] | None] = 1e-4, 1.5e-3  # measured
+
+    algorithm: str = "object-bc"
+    demonstrations: DemonstrationSettings
+    perception: str = option(
+        PARSER, "what detects the objects in frames", choices=(PARSER,), others=PERCEPTIONS
+    )
+    batches: int = option(6000, "training batches", POSITIVE)
+    batch_size: int = option(256, "samples per batch of the controller", POSITIVE)
+    learning_rate: float = option(
+        2e-3, "the controller's initial learning rate; annealed linearly to 0", POSITIVE
+    )
+    mirror: bool = option(True, "swap left and right in half of the controller's samples")
+    block_range: float = option(
+        0.6,
+        "units from the robot's centre and from its grip within which blocks are inputs of the "
+        "controller",
+        POSITIVE,
+    )
+    wall_range: float = option(
+        0.4, "the same for walls, from robot, target and destination", POSITIVE
+    )
+    drop_blocks: float = option(
+        0.3,
+        "share of blocks other than targets that are dropped from the controller's samples",
+        FRACTION,
+    )
+    goal_sparsity: float = option(
+        0.01,
+        "weight of the goal model's group lasso; a fifth of it in the second half of training",
+        NOT_NEGATIVE,
+    )
+    temperature: float = option(0.7, "softmax temperature for sampling actions", POSITIVE)
+    stuck_temperature: float = option(
+        4.0, "the same when a block is left to move but the robot has not moved", POSITIVE
+    )
+    log_every: int = option(50, "batches between logged metrics", POSITIVE)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for task in map(get_task, self.tasks):
+            if task.max_blocks > MAX_BLOCKS or task.max_regions > MAX_REGIONS:
+                raise InvalidConfigError(
+                    f"{task.name}: expected at most {MAX_BLOCKS} blocks and {MAX_REGIONS} regions, "
+                    f"since {self.algorithm} finds no more, found {task.max_blocks} and "
+                    f"{task.max_regions}"
+                )
+
+    @property
+    def observation(self) -> str:
+        """See `Config`."""
+        return OBSERVATION
+
+    @property
+    def learned_from(self) -> tuple[str, ...]:
+        """See `Config`; the relations, too, were chosen for these tasks."""
+        return (*super().learned_from, *PARSER_SOURCES, BENCHMARK_PRIOR)
+
+    @property
+    def num_updates(self) -> int:
+        """The number of batches."""
+        return self.batches
+
+    @property
+    def training_samples(self) -> int:
+        """The samples of all the controller's batches."""
+        return self.batches * self.batch_size
+
+
+class ObjectPolicy(nn.Module):
+    """Maps frame stacks to logits of the 18 actions, by way of objects and a goal."""
+
+    takes_pixels = True
+
+    def __init__(self, config: ObjectBCConfig) -> None:
+        super().__init__()
+        self.perception = get_perception(config.perception)
+        self.goals = GoalModel(len(config.tasks))
+        self.controller = Controller()
+        self.ranges = config.block_range, config.wall_range
+        self.temperature, self.stuck_temperature = config.temperature, config.stuck_temperature
+        blank = torch.zeros((1, *config.input_shape), dtype=torch.uint8)
+        self(blank, torch.zeros(1, dtype=torch.int64))  # fixes the sizes of the lazy layers
+
+    def forward(self, observations: Tensor, tasks: Tensor) -> Tensor:
+        """Logits (B, 18) for stacks (B, 12, 96, 96) uint8."""
+        newest, oldest = (stacked_frames(observations, k) for k in (STACK - 1, 0))
+        table = to_table(self.perception(newest), tasks.device)
+        before = torch.from_numpy(self.perception(oldest, robot_alone=True).robot).to(table.robot)
+        plain = torch.autocast(tasks.device.type, enabled=False)  # positions need float32
+        with cpu_threads(1):
+            with plain:
+                targets, destinations = self.goals.decide(table, tasks)
+            return self.control(table, before, targets, destinations)
+
+    def control(
+        self, table: ObjectTable, before: Tensor, targets: Tensor, destinations: Tensor
+    ) -> Tensor:
+        """Logits (B, 18) of the actions that bring targets (B,) to destinations (B, 2).
+
+        If a block is left to move and the robot is still at its earlier pose `before` (B, 3), it is
+        stuck and acts more randomly; so it does in an episode's first step, which has no other.
+        """
+        with torch.autocast(table.robot.device.type, enabled=False):
+            inputs = control_inputs(table, targets, destinations, *self.ranges)
+        logits: Tensor = self.controller(*inputs).float()
+        stuck = _stands(table.robot, before) & (targets != ROBOT_TARGET)
+        return logits / torch.where(stuck, self.stuck_temperature, self.temperature)[:, None]
+
+
+def stacked_frames(observations: Tensor, number: int) -> Pixels:
+    """Frame `number`, counted from the oldest, of stacks (B, 12, 96, 96): (B, 96, 96, 3)."""
+    frames = observations[:, number * CHANNELS : (number + 1) * CHANNELS].permute(0, 2, 3, 1)
+    return frames.cpu().numpy()
+
+
+def _stands(robot: Tensor, before: Tensor) -> Tensor:
+    """Whether each robot (B, 3) has hardly moved from its earlier pose (B, 3): (B,) bool."""
+    moved = robot - before
+    turned = torch.atan2(moved[:, 2].sin(), moved[:, 2].cos()).abs()
+    return (moved[:, :2].abs().amax(dim=1) < STANDS) & (turned < STANDS_ANGLE)
+
+
+def make_policy(config: ObjectBCConfig) -> ObjectPolicy:
+    """The policy, initialised from the seed."""
+    with seeded_init(config.seed):
+        return ObjectPolicy(config)
+
+
+def train(config: ObjectBCConfig, run: Run) -> None:
+    """Learn from the demonstrations."""
+    policy = make_policy(config)
+    demonstrations = parse_demonstrations(load_demonstrations(config, run), policy.perception)
+    ObjectBCTrainer(config, run, policy).fit(demonstrations)
+
+
+class ObjectBCTrainer:
+    """The goal model and the controller, each with its optimiser."""
+
+    def __init__(self, config: ObjectBCConfig, run: Run, policy: ObjectPolicy) -> None:
+        """Create a new trainer, or resume from the run's checkpoint."""
+        self.config, self.run = config, run
+        self.device = choose_device(config.device)
+        self.policy = policy.to(self.device)
+        self.compute = run.compute(self.device, config.network_precision, config.threads)
+        self.goal_optimizer = torch.optim.Adam(
+            self.policy.goals.parameters(), GOAL_LEARNING_RATE, fused=True
+        )
+        self.optimizer = torch.optim.AdamW(
+            self.policy.controller.parameters(),
+            config.learning_rate,
+            weight_decay=WEIGHT_DECAY,
+            fused=True,
+        )
+        if run.saved:
+            with restoring(run.folder):
+                self.policy.load_state_dict(run.saved["policy"])
+                load_optimizer(self.optimizer, run.saved["optimizer"])
+                load_optimizer(self.goal_optimizer, run.saved["goal_optimizer"])
+
+    def fit(self, demonstrations: Sequence[ParsedDemonstration]) -> None:
+        """Train from the run's step to the last batch, or until the run stops."""
+        config, run = self.config, self.run
+        data = ObjectData(demonstrations, config.tasks, self.device)
+        averages = Averages()
+        for number in range(run.step, config.batches):
+            rng = stream(config.seed, Purpose.BATCHES, number)
+            averages.add(config.batch_size, **self.control_step(data, number, rng))
+            if number % GOAL_EVERY == 0:
+                averages.add(1, **self.goal_step(data, number, rng))
+            if run.finish_step(
+                number + 1,
+                lambda: averages.reset(speed_of="loss"),
+                self.state_dict,
+                log_every=config.log_every,
+                last=number + 1 == config.batches,
+            ):
+                return
+
+    def control_step(
+        self, data: ObjectData, number: int, rng: np.random.Generator
+    ) -> dict[str, Tensor]:
+        """Clone a batch of actions, given the goals found in hindsight."""
+        config = self.config
+        set_learning_rate(self.optimizer, config.learning_rate * (1.0 - number / config.batches))
+        rows = data.sample_eventful(config.batch_size, rng)
+        noise = rng.normal(0.0, DESTINATION_NOISE, (len(rows), 2)).astype(np.float32)
+        destinations = data.destinations[rows] + torch.from_numpy(noise).to(self.device)
+        mirrored = torch.from_numpy(rng.random(len(rows)) < 0.5 * config.mirror).to(self.device)
+        table, targets = data.table.select(rows), data.targets[rows]
+        numbers = torch.arange(table.blocks.shape[1], device=self.device)
+        dropped = torch.from_numpy(rng.random(table.colours.shape) < config.drop_blocks)
+        table = table.without(dropped.to(self.device) & (numbers != targets[:, None]))
+        inputs = control_inputs(table, targets, destinations, *self.policy.ranges, mirrored)
+        with self.compute.autocast():
+            logits = self.policy.controller(*inputs).float()
+        actions = data.actions[rows]
+        exchanged = torch.tensor(MIRRORED_ACTIONS, device=self.device)
+        actions = torch.where(mirrored, exchanged[actions], actions)
+        loss = functional.cross_entropy(logits, actions)
+        self.optimizer.zero_grad()
+        torch.autograd.backward(loss)
+        self.optimizer.step()
+        accuracy = (logits.argmax(dim=1) == actions).float().mean()
+        return {"loss": loss, "accuracy": accuracy}
+
+    def goal_step(
+        self, data: ObjectData, number: int, rng: np.random.Generator
+    ) -> dict[str, Tensor]:
+        """Increase the likelihood of a batch of goals."""
+        config, goals = self.config, self.policy.goals
+        refit = number - config.batches // 2
+        if config.goal_sparsity and 0 <= refit < GOAL_EVERY:  # first step of the second half
+            goals.leave_out()
+        set_learning_rate(self.goal_optimizer, GOAL_LEARNING_RATE * (1.0 - number / config.batches))
+        rows = data.sample_each(GOAL_BATCH_SIZE, rng)
+        places = rng.uniform(-BORDER, BORDER, (len(rows), CANDIDATES, 2)).astype(np.float32)
+        target_loss, destination_loss = goal_losses(
+            goals,
+            data.table.select(rows),
+            data.relations[rows],
+            data.targets[rows],
+            data.destinations[rows],
+            data.tasks[rows],
+            torch.from_numpy(places).to(self.device),
+        )
+        penalty = goals.penalty(config.goal_sparsity * (REFITTED if refit >= 0 else 1.0))
+        self.goal_optimizer.zero_grad()
+        torch.autograd.backward(target_loss + destination_loss + penalty)
+        self.goal_optimizer.step()
+        return {"target_loss": target_loss, "destination_loss": destination_loss}
+
+    def state_dict(self) -> StateDict:
+        """The state of the policy and both optimisers."""
+        return {
+            "policy": self.policy.state_dict(),
+            "optimizer": optimizer_state(self.optimizer),
+            "goal_optimizer": optimizer_state(self.goal_optimizer),
+        }
+
+
+ALGORITHM = Algorithm(ObjectBCConfig, train, make_policy)

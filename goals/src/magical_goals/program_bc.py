@@ -1,0 +1,232 @@
+"""Goals as programs: infer which programs explain the demonstrations, and act accordingly.
+
+1. Frames are parsed and demonstrations are cut into carries, as in `object-bc`.
+2. Programs of the goal language are enumerated, and weighted by their prior probability and by the
+   likelihood of the carries under a softly rational demonstrator (`magical_goals.intent`).
+3. In an episode, the posterior decides what is moved next, and where to; a planner moves it, with
+   a motion model fitted to the demonstrations (`magical_goals.planning`). If no program explains
+   the demonstrations, or if none of those that do fits the scene, `object-bc` decides and acts.
+
+Sources: Lázaro-Gredilla et al., "Beyond imitation: zero-shot task transfer on robots by learning
+concepts as cognitive programs", Science Robotics 2019; Silver et al., "Few-shot Bayesian imitation
+learning with logical program policies", AAAI 2020. There are no published settings.
+"""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, NamedTuple
+
+import numpy as np
+import torch
+from msgspec import Meta
+from torch import Tensor
+
+from magical.errors import CheckpointError, InvalidProgramError, RunFolderError
+from magical.evaluation.policy import Actions, Mask
+from magical_baselines.algorithms import Algorithm
+from magical_goals.object_bc import (
+    ObjectBCConfig,
+    ObjectBCTrainer,
+    ObjectPolicy,
+    stacked_frames,
+)
+from magical_baselines.data.expert_data import load_demonstrations
+from magical_goals.intent.acting import Intention
+from magical_goals.intent.posterior import Belief, Explanation, infer
+from magical_goals.intent.scenes import parsed_episode, parsed_poses, parsed_scene
+from magical_goals.objects.data import ParsedDemonstration, parse_demonstrations
+from magical_goals.objects.hindsight import track
+from magical_goals.objects.parser import ParsedFrames
+from magical_goals.planning.motion import Motion, fit_motion
+from magical_goals.planning.planner import Planner, Situation
+from magical_baselines.policy import TrainedPolicy, load_policy, sample_actions, to_inputs
+from magical_baselines.running.run import Run
+from magical_baselines.running.streams import Purpose, seeded_init, stream
+from magical.observe.pixels import STACK
+from magical.scene import NOOP
+from magical.scene.poses import ROBOT
+from magical.tasks.programs import parse
+from magical.untrusted import parse_json
+
+MAX_BYTES = 1 << 16  # size of a task's belief as JSON
+MOTION_SHAPES = {"drive": (2, 3), "turn": (2, 2), "grasp": (3,)}  # float64: see `Motion`
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProgramBCConfig(ObjectBCConfig):
+    """Settings of behavioural cloning with goals as programs."""
+
+    seconds_each: ClassVar[tuple[float, float] | None] = 1.2e-4, 1.2e-3  # measured
+
+    algorithm: str = "program-bc"
+
+
+class ProgramNetwork(ObjectPolicy):
+    """An object-centred policy with a belief about the program of each task."""
+
+    beliefs: Tensor  # (tasks, MAX_BYTES) uint8: JSON, padded with zeros
+
+    def __init__(self, config: ProgramBCConfig) -> None:
+        super().__init__(config)
+        empty = torch.zeros(len(config.tasks), MAX_BYTES, dtype=torch.uint8)
+        self.register_buffer("beliefs", empty)
+        for name, shape in MOTION_SHAPES.items():
+            self.register_buffer(name, torch.zeros(shape, dtype=torch.float64))
+
+    @property
+    def motion(self) -> Motion:
+        """The motion model of the robot."""
+        return Motion(*(getattr(self, name).cpu().numpy() for name in MOTION_SHAPES))
+
+    def move_as(self, motion: Motion) -> None:
+        """Store the motion model of the robot."""
+        for name, values in zip(MOTION_SHAPES, motion, strict=True):
+            getattr(self, name).copy_(torch.from_numpy(values))
+
+    def believe(self, task: int, belief: Belief) -> None:
+        """Store the belief about a task."""
+        programs = [(repr(program), weight) for program, weight in belief.explanations]
+        saved = _SavedBelief(programs, belief.unexplained, belief.largest)
+        text = json.dumps(saved).encode()
+        assert len(text) <= MAX_BYTES
+        self.beliefs[task] = 0
+        self.beliefs[task, : len(text)] = torch.frombuffer(bytearray(text), dtype=torch.uint8)
+
+    def belief(self, task: int) -> Belief:
+        """The belief about a task."""
+        text = bytes(self.beliefs[task].cpu().numpy()).rstrip(b"\0")
+        saved = parse_json(text, _SavedBelief, "policy", CheckpointError)
+        try:
+            explanations = [Explanation(parse(program), w) for program, w in saved.programs]
+        except InvalidProgramError as error:
+            raise CheckpointError(f"policy: {error}") from error
+        belief = Belief(explanations, saved.unexplained, saved.largest)
+        if belief.is_explained and not explanations:
+            raise CheckpointError(f"policy: no programs, but {saved.unexplained} unexplained")
+        return belief
+
+
+class _SavedBelief(NamedTuple):
+    """A belief as a JSON array of these values."""
+
+    programs: list[tuple[str, Annotated[float, Meta(gt=0)]]]  # with their weights
+    unexplained: float
+    largest: float
+
+
+class ProgramPolicy(TrainedPolicy):
+    """Acts on the beliefs; keeps each episode's initial scene and tracks its blocks."""
+
+    network: ProgramNetwork
+    _episodes: list["_Episode | None"]
+
+    def reset(self, mask: Mask) -> None:
+        """Forget the episodes of the environments for which the mask (B,) is true."""
+        if mask.all():
+            self._beliefs = [self.network.belief(task) for task in range(len(self.tasks))]
+            self._episodes = [None] * len(mask)
+        for row in np.flatnonzero(mask).tolist():
+            self._episodes[row] = None
+
+    def act(self, observations: Any, env_ids: Sequence[str], rng: np.random.Generator) -> Actions:
+        """See `TrainedPolicy`."""
+        stacks = to_inputs(observations, self._spec)
+        tasks = self.task_numbers(env_ids)
+        parsed = self.network.perception(stacked_frames(stacks, STACK - 1))
+        uniforms = rng.random(len(tasks))
+        actions = np.full(len(tasks), NOOP)
+        unknown = []
+        for row, task in enumerate(tasks.tolist()):
+            now = parsed.select(slice(row, row + 1))
+            episode = self._episodes[row]
+            if episode is None:
+                intention = Intention(self._beliefs[task], parsed_scene(parsed, row))
+                episode = _Episode(intention, Planner(self.network.motion), now)
+                self._episodes[row] = episode
+            else:
+                episode.see(now)
+            if episode.intention.is_known:
+                actions[row] = episode.act(None if self.greedy else uniforms[row])
+            else:
+                unknown.append(row)
+        if unknown:
+            rows = np.array(unknown)
+            logits = self.outputs(observations[rows], [env_ids[row] for row in unknown])
+            found = logits.softmax(dim=1).numpy()
+            # Each row has its own random number, so rows do not affect each other.
+            sampled = sample_actions(found, uniforms[rows])
+            actions[rows] = found.argmax(axis=1) if self.greedy else sampled
+        return actions
+
+
+class _Episode:
+    """An episode in progress."""
+
+    def __init__(self, intention: Intention, planner: Planner, now: ParsedFrames) -> None:
+        self.intention, self._planner = intention, planner
+        self._now, self._before = now, now
+
+    def see(self, parsed: ParsedFrames) -> None:
+        """Take in the next frame, with blocks numbered as in the first."""
+        pair = track(ParsedFrames.joined([self._now, parsed]))
+        self._before, self._now = self._now, pair.select(slice(1, 2))
+
+    def act(self, uniform: float | None) -> int:
+        """See `Planner.act`; a no-op if nothing is left to do."""
+        poses = parsed_poses(self._now, 0, self.intention.scene)
+        decision = self.intention.decide(poses)
+        if decision is None:
+            return NOOP
+        target, place = decision
+        pose, blocks = poses.bodies[ROBOT], poses.blocks[:, :2]
+        seen = Situation(pose, self._before.robot[0], blocks, target, np.array(place))
+        return self._planner.act(seen, uniform)
+
+
+def train(config: ProgramBCConfig, run: Run) -> None:
+    """Learn from the demonstrations."""
+    policy = make_policy(config)
+    demonstrations = parse_demonstrations(load_demonstrations(config, run), policy.perception)
+    if not run.saved:
+        policy.move_as(fit_motion(demonstrations))
+        for number, belief in enumerate(infer_beliefs(config, demonstrations).values()):
+            policy.believe(number, belief)
+    ObjectBCTrainer(config, run, policy).fit(demonstrations)
+
+
+def infer_beliefs(
+    config: ProgramBCConfig, demonstrations: Sequence[ParsedDemonstration]
+) -> dict[str, Belief]:
+    """The belief about each task, from its own demonstrations and independent of other tasks."""
+    beliefs = {}
+    for task in config.tasks:
+        rng = stream(config.seed, Purpose.PROGRAMS)
+        episodes = [parsed_episode(each, rng) for each in demonstrations if each.task == task]
+        beliefs[task] = infer(episodes)
+    return beliefs
+
+
+def beliefs_of(run: Path) -> dict[str, Belief]:
+    """The beliefs that the policy of a run folder has about each of its tasks.
+
+    Raises:
+        RunFolderError: not a run folder, a damaged one, or a run of another algorithm.
+        CheckpointError: no checkpoint yet, or a damaged one.
+    """
+    policy = load_policy(run, device="cpu")
+    if not isinstance(policy, ProgramPolicy):
+        raise RunFolderError(
+            f"{run}: expected a run of program-bc, found one of {policy.config.algorithm}"
+        )
+    return {task: policy.network.belief(k) for k, task in enumerate(policy.tasks)}
+
+
+def make_policy(config: ProgramBCConfig) -> ProgramNetwork:
+    """The policy without beliefs, initialised from the seed."""
+    with seeded_init(config.seed):
+        return ProgramNetwork(config)
+
+
+ALGORITHM = Algorithm(ProgramBCConfig, train, make_policy, ProgramPolicy)

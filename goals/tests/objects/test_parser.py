@@ -1,0 +1,114 @@
+"""Objects parsed from rendered frames, against the scenes that were rendered."""
+
+from itertools import combinations_with_replacement
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from magical_goals.objects.parser import parse_frames
+from magical.physics import Simulation
+from magical.render import Renderer
+from magical.scene import NUM_ACTIONS, Poses, Scene, View
+from magical.scene.constants import FINGER_OPEN, SQUARE_SIDE
+from magical.scene.poses import FINGERS, FIRST_BLOCK, ROBOT
+from magical.scene.scene import Block, Pose, Region
+from magical.scene.vocabulary import COLOURS, SHAPES, Colour, Shape
+from magical.tasks import TASKS, get_task
+from goals.tests.objects import plain_parser
+
+
+def render(scene: Scene, bodies: NDArray[np.float64]) -> NDArray[np.uint8]:
+    frame = np.empty((96, 96, 3), np.uint8)
+    states = np.zeros((len(bodies), 6))
+    states[:, :3] = bodies
+    Renderer(scene, View.ALLO, 96).render(states, frame)
+    return frame
+
+
+@pytest.mark.parametrize("task", list(TASKS))
+def test_objects_of_random_scenes(task: str) -> None:
+    rng = np.random.default_rng(5)
+    scenes = [get_task(task).sample("TestAll", rng)[0] for _ in range(12)]
+    bodies = [Poses.at_rest(scene).bodies.copy() for scene in scenes]
+    for poses in bodies:
+        poses[FINGERS, 2] = poses[ROBOT, 2] + rng.uniform(0, FINGER_OPEN, 2) * (1, -1)
+    frames = np.stack([render(*pair) for pair in zip(scenes, bodies, strict=True)])
+    parsed = parse_frames(frames)
+    for t, (scene, poses) in enumerate(zip(scenes, bodies, strict=True)):
+        assert parsed.robot[t, :2] == pytest.approx(poses[ROBOT, :2], abs=0.005)
+        turned = (parsed.robot[t, 2] - poses[ROBOT, 2] + np.pi) % (2 * np.pi) - np.pi
+        assert abs(turned) < 0.08
+        open_ = np.abs(poses[FINGERS, 2] - poses[ROBOT, 2])
+        assert parsed.fingers[t] == pytest.approx(open_, abs=0.12)
+        assert (parsed.colours[t] >= 0).sum() == len(scene.blocks)
+        for block, pose in zip(scene.blocks, poses[FIRST_BLOCK:], strict=True):
+            nearest = np.hypot(*(parsed.blocks[t] - pose[:2]).T).argmin()
+            assert parsed.blocks[t, nearest] == pytest.approx(pose[:2], abs=0.02)
+            assert COLOURS[parsed.colours[t, nearest]] == block.colour
+            assert SHAPES[parsed.shapes[t, nearest]] == block.shape
+        assert (parsed.region_colours[t] >= 0).sum() == len(scene.regions)
+        for region in scene.regions:
+            true = np.array([*region.centre, region.width / 2, region.height / 2])
+            nearest = np.abs(parsed.regions[t] - true).sum(axis=1).argmin()
+            assert parsed.regions[t, nearest] == pytest.approx(true, abs=0.03)
+            assert COLOURS[parsed.region_colours[t, nearest]] == region.colour
+
+
+@pytest.mark.parametrize("colours", list(combinations_with_replacement(Colour, 2)))
+def test_touching_blocks_are_kept_apart(colours: tuple[Colour, Colour]) -> None:
+    rng = np.random.default_rng(2)
+    scenes = [touching_squares(colours, *rng.uniform(-0.3, 0.3, 3)) for _ in range(16)]
+    parsed = parse_frames(
+        np.stack([render(scene, Poses.at_rest(scene).bodies) for scene in scenes])
+    )
+    assert ((parsed.colours >= 0).sum(axis=1) == 2).all()
+    for t, scene in enumerate(scenes):
+        for block in scene.blocks:
+            offsets = parsed.blocks[t, :2] - (block.pose.x, block.pose.y)
+            nearest = np.hypot(*offsets.T).argmin()
+            assert offsets[nearest] == pytest.approx([0.0, 0.0], abs=0.02)
+            assert COLOURS[parsed.colours[t, nearest]] == block.colour
+
+
+def touching_squares(colours: tuple[Colour, Colour], x: float, y: float, angle: float) -> Scene:
+    """Two squares side by side without a gap, turned by an angle together."""
+    half = SQUARE_SIDE / 2 * np.array([np.cos(angle), np.sin(angle)])
+    poses = Pose(x - half[0], y - half[1], angle), Pose(x + half[0], y + half[1], angle)
+    blocks = (Block(Shape.SQUARE, colours[k], poses[k]) for k in range(2))
+    return Scene(Pose(0.0, -0.8, 0.0), tuple(blocks))
+
+
+def test_a_region_split_by_the_robot_is_one_region() -> None:
+    region = Region(Colour.RED, -0.25, 0.25, 0.5, 0.5)
+    scene = Scene(Pose(0.0, 0.0, 0.3), (), (region,))
+    parsed = parse_frames(render(scene, Poses.at_rest(scene).bodies)[None])
+    assert (parsed.region_colours[0] >= 0).sum() == 1
+    assert parsed.regions[0, 0] == pytest.approx([0.0, 0.0, 0.25, 0.25], abs=0.03)
+
+
+def test_a_frame_without_objects_is_parsed() -> None:
+    parsed = parse_frames(np.full((2, 96, 96, 3), 255, np.uint8))
+    assert (parsed.colours == -1).all()
+    assert (parsed.region_colours == -1).all()
+    assert np.isfinite(parsed.robot).all()
+
+
+@pytest.mark.parametrize("task", list(TASKS))
+def test_the_compiled_parser_finds_what_the_plain_one_does(task: str) -> None:
+    rng = np.random.default_rng(1)
+    frames = []
+    for variant in TASKS[task].variants:
+        scene, dynamics = TASKS[task].sample(variant, rng)
+        simulation = Simulation(scene, dynamics)
+        for action in rng.integers(NUM_ACTIONS, size=10):
+            for _ in range(4):
+                simulation.step(int(action))
+            frames.append(render(scene, simulation.poses().bodies))
+    batch = np.stack([*frames, np.zeros_like(frames[0]), np.full_like(frames[0], 255)])
+    found, expected = parse_frames(batch), plain_parser.parse_frames(batch)
+    for name, array in expected._asdict().items():
+        assert np.allclose(getattr(found, name), array, rtol=0, atol=1e-12), name
+    alone = parse_frames(batch, robot_alone=True)
+    assert np.array_equal(alone.robot, found.robot)
+    assert (alone.colours == -1).all()

@@ -1,5 +1,0 @@
-"""Fig. 11 with few channels and a stride of 4 in the first convolution, for learning online."""
-
-from magical.learning.networks.paper import ConvolutionStack
-
-NETWORK = ConvolutionStack(((32, 5, 4), (64, 3, 2), (64, 3, 2)), (256,))

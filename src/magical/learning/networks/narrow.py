@@ -1,5 +1,0 @@
-"""`light` with half the channels in its first two convolutions."""
-
-from magical.learning.networks.paper import ConvolutionStack
-
-NETWORK = ConvolutionStack(((16, 5, 4), (32, 3, 2), (64, 3, 2)), (256,))
