@@ -54,7 +54,7 @@ def light(session: nox.Session) -> None:
 def newest(session: nox.Session) -> None:
     """Run the tests with the newest version of every dependency."""
     flags = ("--upgrade", "--upgrade-strategy", "eager")
-    editable = (part for name in (f".[{EXTRAS},docs]", *COMPANIONS) for part in ("--editable", name))
+    editable = [f"--editable={name}" for name in (f".[{EXTRAS},docs]", *COMPANIONS)]
     session.install(*flags, *editable, "stable-baselines3")
     session.run("python", "-m", "pytest", *(session.posargs or ["-q", "-rs", "-n", "auto"]))
 

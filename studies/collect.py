@@ -37,6 +37,11 @@ from magical.evaluation import Entry, read_entry
 from magical.evaluation.collection import read_collection, write_collection
 from magical.evaluation.entry import ENTRY_FILE
 from magical.evaluation.protocol import NUDGE, Evaluation, environments
+from magical.plugins import import_user_module
+from magical.report.found.statements import LOOKS
+from magical.runs.folder import read_json, write_json
+from magical.runs.plan import PLAN, RESULT, RUNS
+from magical.runs.sources import DEMONSTRATIONS
 from magical_baselines.experiments.one_run import evaluate_run
 from magical_baselines.experiments.plan import DATASET, PlannedRun, planned_runs, read_plan
 from magical_baselines.experiments.results import (
@@ -47,11 +52,6 @@ from magical_baselines.experiments.results import (
     read_state,
     run_folders,
 )
-from magical.plugins import import_user_module
-from magical.report.found.statements import LOOKS
-from magical.runs.folder import read_json, write_json
-from magical.runs.plan import PLAN, RESULT, RUNS
-from magical.runs.sources import DEMONSTRATIONS
 from studies.plan_results import LEADERBOARD
 
 COLLECTED = "collected"  # key in `plan.json`: what is known about the runs

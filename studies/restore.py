@@ -20,9 +20,9 @@ from dataclasses import asdict
 from pathlib import Path
 
 from magical.errors import MagicalError, ResultsError
-from magical_baselines.experiments.results import DONE, EXPERIMENT, FORMAT, Experiment
 from magical.runs.folder import read_json, write_json
 from magical.runs.plan import PLAN, RESULT, RUNS
+from magical_baselines.experiments.results import DONE, EXPERIMENT, FORMAT, Experiment
 from studies.collect import Collected
 
 

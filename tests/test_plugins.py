@@ -28,7 +28,7 @@ from magical.runs import versions
 from magical.tasks import TASKS, Task, get_task, load_task, unregister_task
 
 GROUP = "magical.things"
-THINGS = Registry("thing", Task, GROUP, "magical.tasks", "TASK")
+THINGS = Registry("thing", Task, GROUP)
 
 
 @pytest.fixture(autouse=True)
@@ -54,10 +54,10 @@ def path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_ours_and_those_of_other_distributions(path: Path) -> None:
+def test_entry_points_and_references(path: Path) -> None:
     install(path, "other", "mine = magical.tasks.make_line:TASK")
-    assert {"mine", "make-line"} <= set(THINGS.names())
-    assert THINGS.get("mine") is THINGS.get("make-line")
+    assert THINGS.names() == ["mine"]
+    assert THINGS.get("mine") is get_task("MakeLine")
     assert THINGS.get("magical.tasks.make_line:TASK").name == "MakeLine"
 
 

@@ -17,12 +17,12 @@ from PIL import Image, ImageDraw
 
 import magical  # noqa: F401  (registers the environments)
 from magical.demos.generate import demonstrate
+from magical.observe import PRESETS
 from magical_baselines.augmentation.augment import augment
 from magical_baselines.augmentation.names import NAMES, SETS, Augmentations, parse_augmentations
 from magical_baselines.augmentation.transformations import StackTransformations
 from magical_baselines.data.expert_data import ExpertData
 from magical_baselines.data.rendered_data import RenderedExpertData
-from magical.observe import PRESETS
 
 IMAGES = Path(__file__).resolve().parents[1] / "docs" / "images"
 SAMPLES = 4  # examples of each

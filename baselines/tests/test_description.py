@@ -5,9 +5,9 @@ from typing import Any
 
 import pytest
 
-from magical_baselines import algorithm_names, find_algorithm
-from magical.runs.sources import SOURCES, learned_from, learning_class
 from baselines.tests.tiny_runs import tiny
+from magical.runs.sources import SOURCES, learned_from, learning_class
+from magical_baselines import algorithm_names, find_algorithm
 
 
 def details_of(algorithm: str, **fields: object) -> dict[str, Any]:

@@ -8,15 +8,15 @@ from typing import Literal
 
 import pytest
 
+from baselines.tests.tiny_runs import same_weights, tiny
 from magical.cli import main
 from magical.errors import InvalidConfigError, PluginError, RunFolderError, UnknownNameError
+from magical.runs.folder import CONFIG
 from magical_baselines import Config, find_algorithm, read_config, train
 from magical_baselines.algorithms.bc import BCConfig
 from magical_baselines.config import DemonstrationSettings, options
 from magical_baselines.networks import find_network
 from magical_baselines.settings import Settings, option
-from magical.runs.folder import CONFIG
-from baselines.tests.tiny_runs import same_weights, tiny
 
 MODULE = '''
 from dataclasses import dataclass

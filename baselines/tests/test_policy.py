@@ -10,18 +10,18 @@ import pytest
 import torch
 from torch import Tensor, nn
 
+from baselines.tests.conftest import TASKS
+from baselines.tests.tiny_runs import CPU
 from magical import evaluation
 from magical.envs import parse_env_id
 from magical.errors import CheckpointError, DivergedError, PolicyError, RunFolderError
 from magical.evaluation import Policy, evaluate
 from magical.evaluation.protocol import Evaluation
-from magical_baselines import NetworkPolicy, is_run, load_policy, train
-from magical_baselines.algorithms.bc import BCConfig
 from magical.observe import NAMED, PRESETS
 from magical.report.figures.clips import record_rollouts
 from magical.runs.folder import CHECKPOINT
-from baselines.tests.conftest import TASKS
-from baselines.tests.tiny_runs import CPU
+from magical_baselines import NetworkPolicy, is_run, load_policy, train
+from magical_baselines.algorithms.bc import BCConfig
 
 IDS = [f"magical/{task}-Demo-v0" for task in TASKS]
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from magical.errors import InvalidConfigError, UnknownNameError
+from magical.tasks import TASKS as REGISTRY
 from magical_baselines.algorithms.bc import BCConfig
 from magical_baselines.algorithms.ppo import PPOConfig
-from magical.tasks import TASKS as REGISTRY
 
 TASKS = ("MoveToRegion",)
 

@@ -7,14 +7,14 @@ from typing import Any, Self
 
 import pytest
 
+from baselines.tests.tiny_runs import tiny
 from magical.cli import main
 from magical.errors import InvalidConfigError, MissingDependencyError
+from magical.runs import read_metrics
+from magical.runs.folder import opened_folder
 from magical_baselines import train
 from magical_baselines.algorithms.bc import BCConfig
 from magical_baselines.trackers import opened_trackers
-from magical.runs import read_metrics
-from magical.runs.folder import opened_folder
-from baselines.tests.tiny_runs import tiny
 
 CONFIGURATION = {"algorithm": "bc", "seed": 3}
 

@@ -6,11 +6,11 @@ from typing import Any, TypeVar
 import torch
 from torch import Tensor
 
+from magical.runs.folder import CHECKPOINT
 from magical_baselines import Config
 from magical_baselines.config import options
 from magical_baselines.running.checkpoints import load_checkpoint
 from magical_baselines.running.devices import Compute
-from magical.runs.folder import CHECKPOINT
 
 AnyConfig = TypeVar("AnyConfig", bound=Config)
 CPU = Compute("cpu", "float32")

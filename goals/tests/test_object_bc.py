@@ -12,10 +12,15 @@ import pytest
 import torch
 from torch.nn.functional import cross_entropy
 
+from baselines.tests import tiny_runs
+from baselines.tests.tiny_runs import assert_same, checkpoint
 from magical.demos import ObservationReader
 from magical.demos.generate import demonstrate
 from magical.errors import InvalidConfigError
 from magical.evaluation import evaluate
+from magical.runs import read_metrics
+from magical.scene.actions import Action, Turn
+from magical.tasks import get_task, register_task, unregister_task
 from magical_baselines import load_policy, train
 from magical_goals import object_bc
 from magical_goals.object_bc import ObjectBCConfig, make_policy
@@ -24,11 +29,6 @@ from magical_goals.objects.data import ObjectData
 from magical_goals.objects.hindsight import ROBOT_TARGET
 from magical_goals.objects.parser import parse_frames
 from magical_goals.objects.table import ObjectTable, to_table
-from magical.runs import read_metrics
-from magical.scene.actions import Action, Turn
-from magical.tasks import get_task, register_task, unregister_task
-from baselines.tests import tiny_runs
-from baselines.tests.tiny_runs import assert_same, checkpoint
 
 TASKS = ("MoveToRegion", "FixColour")
 

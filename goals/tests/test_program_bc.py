@@ -8,27 +8,27 @@ import numpy as np
 import pytest
 import torch
 
+from baselines.tests import tiny_runs
 from magical.cli import main
 from magical.demos import Dataset, observations
 from magical.demos.generate import demonstrate
 from magical.errors import CheckpointError
 from magical.evaluation import evaluate
 from magical.evaluation.seeds import RolloutRng
+from magical.scene import NOOP
+from magical.tasks import get_task
+from magical.tasks.programs import parse
 from magical_baselines import load_policy, train
+from magical_goals.intent.posterior import Belief, Explanation
+from magical_goals.objects.data import parse_demonstrations
+from magical_goals.objects.parser import parse_frames
+from magical_goals.planning.planner import Planner, Situation
 from magical_goals.program_bc import (
     ProgramBCConfig,
     ProgramPolicy,
     beliefs_of,
     infer_beliefs,
 )
-from magical_goals.intent.posterior import Belief, Explanation
-from magical_goals.objects.data import parse_demonstrations
-from magical_goals.objects.parser import parse_frames
-from magical_goals.planning.planner import Planner, Situation
-from magical.scene import NOOP
-from magical.tasks import get_task
-from magical.tasks.programs import parse
-from baselines.tests import tiny_runs
 
 TASKS = ("MoveToRegion", "FixColour")
 FIX = "magical/FixColour-Demo-v0"

@@ -18,16 +18,16 @@ from pathlib import Path
 from magical.evaluation import environments, load_policy
 from magical.evaluation.protocol import Evaluation
 from magical.evaluation.rollouts import roll_out
-from magical_baselines.experiments.plan import PlannedRun, planned_runs, read_plan
-from magical_baselines.experiments.results import opened
-from magical_baselines import train
-from magical_baselines.algorithms.ppo import ReinforcementConfig
-from magical_baselines.running.checkpoints import load_checkpoint
-from magical_baselines.running.devices import cpu_threads
 from magical.plugins import import_user_module
 from magical.runs import is_run
 from magical.runs.folder import CHECKPOINT
 from magical.runs.plan import RUNS
+from magical_baselines import train
+from magical_baselines.algorithms.ppo import ReinforcementConfig
+from magical_baselines.experiments.plan import PlannedRun, planned_runs, read_plan
+from magical_baselines.experiments.results import opened
+from magical_baselines.running.checkpoints import load_checkpoint
+from magical_baselines.running.devices import cpu_threads
 
 CURVE = "layout.csv"  # in a run's folder: environment steps, mean score
 

@@ -20,9 +20,9 @@ from magical.envs import EnvId
 from magical.evaluation import RolloutScore, environments, evaluate, read_scores, write_scores
 from magical.evaluation.intervals import Interval
 from magical.evaluation.statistics import difference, mean, run_means
+from magical.tasks.axes import short_variant
 from magical_baselines import train
 from magical_baselines.algorithms.bc import BCConfig
-from magical.tasks.axes import short_variant
 
 TASKS = ("MoveToRegion", "MoveToCorner", "MatchRegions", "FixColour")
 

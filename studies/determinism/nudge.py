@@ -28,9 +28,9 @@ from magical.evaluation.policy import Policy, observation_for
 from magical.evaluation.protocol import NUDGE
 from magical.evaluation.seeds import RolloutRng
 from magical.grouping import group_by
-from magical_baselines import load_policy
 from magical.scene import Scene
 from magical.tasks import get_task
+from magical_baselines import load_policy
 
 EXACT, SHARED, OWN = "exact", "shared shift", "own shifts"
 

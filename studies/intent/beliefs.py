@@ -6,13 +6,13 @@ python -m studies.intent.beliefs --demos FOLDER [--picture FILE]
 import argparse
 from pathlib import Path
 
-from magical_goals.program_bc import ProgramBCConfig, infer_beliefs
+from magical.tasks import TASKS, get_task
 from magical_baselines.data.expert_data import sample_demonstrations
 from magical_goals.intent.picture import draw_beliefs
 from magical_goals.intent.posterior import Belief
 from magical_goals.objects.data import parse_demonstrations
 from magical_goals.objects.parser import parse_frames
-from magical.tasks import TASKS, get_task
+from magical_goals.program_bc import ProgramBCConfig, infer_beliefs
 from tools.readme_tables import table
 
 DEMONSTRATIONS = 10

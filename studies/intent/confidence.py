@@ -20,14 +20,14 @@ from magical.envs import EnvId, env_spec
 from magical.envs.seeds import evaluation_seed
 from magical.evaluation import read_entry
 from magical.grouping import group_by
-from magical_goals.program_bc import beliefs_of
-from magical_goals.intent.acting import Intention
-from magical_goals.intent.posterior import Belief
-from magical_goals.objects.hindsight import ROBOT_TARGET
 from magical.scene import Poses, Scene, State
 from magical.tasks.axes import full_variant
 from magical.tasks.programs import Goal
 from magical.tasks.programs.goals import ways_at_start
+from magical_goals.intent.acting import Intention
+from magical_goals.intent.posterior import Belief
+from magical_goals.objects.hindsight import ROBOT_TARGET
+from magical_goals.program_bc import beliefs_of
 from tools.readme_tables import table
 
 EDGES = (0.0, 0.5, 0.7, 0.9, 0.99, 1.0)

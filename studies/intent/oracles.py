@@ -17,7 +17,11 @@ from magical.envs import EnvId
 from magical.evaluation import environments, evaluate
 from magical.evaluation.policy import Actions, Mask
 from magical.evaluation.protocol import NUDGE
-from magical_goals.program_bc import ProgramPolicy
+from magical.scene import NOOP, Poses, State
+from magical.scene.constants import FRAME_SIZE
+from magical.scene.poses import ROBOT
+from magical.tasks import get_task
+from magical_baselines.policy import load_policy
 from magical_goals.intent.acting import Intention
 from magical_goals.intent.posterior import Belief, Explanation
 from magical_goals.intent.scenes import parsed_poses, parsed_scene
@@ -25,11 +29,7 @@ from magical_goals.objects.hindsight import ROBOT_TARGET, track
 from magical_goals.objects.parser import ParsedFrames
 from magical_goals.objects.perception import Perception
 from magical_goals.planning.planner import Planner, Situation
-from magical_baselines.policy import load_policy
-from magical.scene import NOOP, Poses, State
-from magical.scene.constants import FRAME_SIZE
-from magical.scene.poses import ROBOT
-from magical.tasks import get_task
+from magical_goals.program_bc import ProgramPolicy
 from studies.objects.object_truth import ExpertEpisode
 
 PARTS = "perception", "program", "control"

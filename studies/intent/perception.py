@@ -25,12 +25,12 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
-from magical_goals.objects.components import MAX_REGIONS, VIEW_HALF, Pixels
-from magical_goals.objects.parser import ABSENT, FAR, MAX_BLOCKS, ParsedFrames
 from magical.render import Renderer
 from magical.scene import COLOURS, SHAPES, Block, Pose, Poses, Region, Scene, View
 from magical.scene.constants import BLOCK_SIZE, FINGER_OPEN, FRAME_SIZE, SIDES, WORKSPACE_HALF
 from magical.scene.poses import EYES, FINGERS
+from magical_goals.objects.components import MAX_REGIONS, VIEW_HALF, Pixels
+from magical_goals.objects.parser import ABSENT, FAR, MAX_BLOCKS, ParsedFrames
 from studies.objects.object_parser import measure
 
 WEIGHTS = Path(__file__).with_name("perception.pt")

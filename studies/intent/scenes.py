@@ -22,10 +22,10 @@ from magical.demos.generate import generate
 from magical.envs import EnvId
 from magical.evaluation import environments, evaluate
 from magical.evaluation.protocol import NUDGE
-from magical_goals.program_bc import ProgramBCConfig, ProgramPolicy, infer_beliefs
+from magical_baselines.policy import load_policy
 from magical_goals.intent.posterior import Belief
 from magical_goals.objects.data import parse_demonstrations
-from magical_baselines.policy import load_policy
+from magical_goals.program_bc import ProgramBCConfig, ProgramPolicy, infer_beliefs
 from studies.intent.confidence import decisions
 from studies.intent.oracles import OraclePolicy
 from tools.readme_tables import table

@@ -21,6 +21,9 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from magical.envs.vector import MagicalVectorEnv
+from magical.runs.folder import CHECKPOINT
+from magical.scene import NUM_ACTIONS
+from magical.scene.poses import FINGERS, ROBOT
 from magical_baselines.algorithms import read_config
 from magical_baselines.algorithms.al import WEIGHTS, ALConfig, make_autoencoder
 from magical_baselines.algorithms.ppo import make_samples, ppo_loss
@@ -30,9 +33,6 @@ from magical_baselines.reinforcement.replay_buffer import ROLLOUTS
 from magical_baselines.reinforcement.reward_normalisation import RewardNormaliser, reward_floor
 from magical_baselines.reinforcement.rollouts import Rollout
 from magical_baselines.running.checkpoints import load_checkpoint
-from magical.runs.folder import CHECKPOINT
-from magical.scene import NUM_ACTIONS
-from magical.scene.poses import FINGERS, ROBOT
 
 DEMO, HORIZON = "magical/MoveToRegion-Demo-v0", 40
 POSE = 12  # position, cosine and sine of the angle, the fingers' angles, and changes of all these

@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 from magical.evaluation import FunctionPolicy, RandomPolicy, evaluate
 from magical.evaluation.intervals import rollout_mean, weighted_sum
 from magical.evaluation.policy import Policy
+from magical.runs import is_run, read_metrics
 from magical_baselines import find_algorithm, train
 from magical_baselines.algorithms.ppo import PPOConfig
 from magical_baselines.config import Config
-from magical.runs import is_run, read_metrics
 
 TASK, DEMO = "MoveToRegion", "magical/MoveToRegion-Demo-v0"
 PPO_STEPS = 80_000

@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 from magical.envs import EnvId
 from magical.evaluation import evaluate
 from magical.evaluation.policy import Mask
+from magical.tasks import Horizon, get_task
 from magical_baselines.algorithms.diffusion import DiffusionNetwork
 from magical_baselines.policy import TrainedPolicy, load_policy
-from magical.tasks import Horizon, get_task
 
 VARIANTS = ("Demo", "TestJitter")
 ROLLOUTS, NUDGE = 50, 1e-3

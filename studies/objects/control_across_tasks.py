@@ -14,8 +14,8 @@ import numpy as np
 import torch
 
 from magical.evaluation import environments, evaluate
-from magical_goals.object_bc import ObjectPolicy
 from magical_baselines.policy import TrainedPolicy, load_policy
+from magical_goals.object_bc import ObjectPolicy
 
 
 def main() -> None:

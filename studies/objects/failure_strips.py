@@ -13,9 +13,9 @@ from pathlib import Path
 from PIL import Image, ImageDraw, ImageFont
 
 from magical.evaluation import Entry, RolloutScore, read_entry
-from magical_baselines import load_policy
 from magical.report.figures.clips import Clip, record_rollouts
 from magical.tasks.axes import full_variant
+from magical_baselines import load_policy
 
 MARGIN, FONT_SIZE = 6, 13
 INK, PAPER = "#26262b", "#ffffff"

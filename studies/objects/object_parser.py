@@ -18,8 +18,6 @@ from numpy.typing import NDArray
 from magical.demos.generate import demonstrate
 from magical.demos.store.reader import TrajectorySource
 from magical.envs.ids import all_env_ids
-from magical_goals.objects import parser as p
-from magical_goals.objects.perception import Perception
 from magical.render import Renderer
 from magical.scene import Poses, Scene, View
 from magical.scene.constants import FINGER_OPEN
@@ -27,6 +25,8 @@ from magical.scene.poses import FIRST_BLOCK
 from magical.scene.scene import Block
 from magical.scene.vocabulary import COLOURS, SHAPES
 from magical.tasks import get_task
+from magical_goals.objects import parser as p
+from magical_goals.objects.perception import Perception
 
 SEED = 40_000
 Floats = NDArray[np.float64]

@@ -26,12 +26,6 @@ from magical.experts.expert import Expert, expert_for
 from magical.experts.memory import Memory, note_other_action
 from magical.experts.planning import Move, MovePlan, Planner, Strategy
 from magical.experts.state_view import StateView
-from magical_goals.object_bc import ObjectPolicy
-from magical_goals.objects.components import MAX_REGIONS
-from magical_goals.objects.hindsight import ROBOT_TARGET
-from magical_goals.objects.parser import FAR, MAX_BLOCKS, parse_frames
-from magical_goals.objects.table import ObjectTable, to_table, to_tensor
-from magical_baselines.policy import TrainedPolicy, choose_actions, load_policy
 from magical.observe.pixels import STACK
 from magical.render import Renderer
 from magical.scene import State, View
@@ -39,6 +33,12 @@ from magical.scene.constants import FRAME_SIZE
 from magical.scene.poses import FINGERS, FIRST_BLOCK
 from magical.scene.vocabulary import COLOURS, SHAPES
 from magical.tasks import get_task
+from magical_baselines.policy import TrainedPolicy, choose_actions, load_policy
+from magical_goals.object_bc import ObjectPolicy
+from magical_goals.objects.components import MAX_REGIONS
+from magical_goals.objects.hindsight import ROBOT_TARGET
+from magical_goals.objects.parser import FAR, MAX_BLOCKS, parse_frames
+from magical_goals.objects.table import ObjectTable, to_table, to_tensor
 
 PARTS = ("perception", "goals", "control")
 NOTHING = "nothing"

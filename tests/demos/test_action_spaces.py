@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from conftest import SHARED
 from magical.demos import Dataset, DatasetWriter, RecordTrajectories, Trajectory, observations
 from magical.demos.generate import demonstrate
 from magical.demos.replay import replay
@@ -17,7 +18,6 @@ from magical.envs.env import MagicalEnv
 from magical.errors import DatasetError, TrajectoryError
 from magical.physics import Simulation
 from magical.scene import to_continuous
-from conftest import SHARED
 from tests.demos.conftest import MakeTrajectory, Run
 
 COLUMNS = "actions", "expert_actions", "policy_actions"

@@ -3,8 +3,8 @@
 import re
 from pathlib import Path
 
-from magical_baselines.experiments.plan import Plan, read_plan
 from magical.plugins import import_user_module
+from magical_baselines.experiments.plan import Plan, read_plan
 
 
 def read_study_plan(path: Path) -> Plan:

@@ -8,15 +8,15 @@ from typing import Any
 
 import pytest
 
+from baselines.tests.experiments.conftest import Planned
 from magical.evaluation import Entry, Evaluation, environments, read_entry
 from magical.evaluation.collection import write_collection
 from magical.evaluation.entry import ENTRY_FILE, SCORES_FILE
-from magical_baselines.experiments.plan import planned_runs
 from magical.report.found.search import search_results
 from magical.report.leaderboard import make_leaderboard
+from magical_baselines.experiments.plan import planned_runs
 from studies import collect as collect_results
 from studies.generated_tasks.baselines import read_methods
-from baselines.tests.experiments.conftest import Planned
 from tests.studies.study_plans import read_study_plan
 
 

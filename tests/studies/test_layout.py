@@ -6,8 +6,8 @@ import pytest
 
 from magical.demos.generate import generate
 from magical.envs import EnvId
-from magical_baselines.experiments.plan import planned_runs, read_plan
 from magical.runs.folder import read_json
+from magical_baselines.experiments.plan import planned_runs, read_plan
 from studies.demonstrations import layout
 
 PLAN = """

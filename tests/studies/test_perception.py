@@ -5,8 +5,8 @@ import pytest
 import torch
 from torch.nn import functional
 
-from magical_goals.objects.parser import ABSENT, parse_frames
 from magical.scene import COLOURS, SHAPES
+from magical_goals.objects.parser import ABSENT, parse_frames
 from studies.intent.perception import (
     CELLS,
     FIND_OBJECTS,

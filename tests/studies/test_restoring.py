@@ -5,12 +5,12 @@ from pathlib import Path
 
 import pytest
 
+from baselines.tests.experiments.conftest import Planned, Started
 from magical_baselines.experiments.execution import execute
 from magical_baselines.experiments.results import planned_states
 from magical_baselines.experiments.status import read_status
 from studies import collect as collect_results
 from studies import restore as restore_results
-from baselines.tests.experiments.conftest import Planned, Started
 
 
 def test_a_plan_goes_on_where_it_was_collected(

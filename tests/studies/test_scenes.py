@@ -1,9 +1,9 @@
 """What a belief is worth in other scenes."""
 
 from magical.envs import parse_env_id
-from magical_goals.intent.posterior import Belief, Explanation
 from magical.tasks import get_task
 from magical.tasks.programs import Goal, parse
+from magical_goals.intent.posterior import Belief, Explanation
 from studies.intent.scenes import share_right
 
 

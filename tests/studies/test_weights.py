@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
+from baselines.tests.experiments.conftest import Planned
 from magical.cli import main as magical
 from magical.evaluation import read_entry
 from studies import collect as collect_results
 from studies import weights
-from baselines.tests.experiments.conftest import Planned
 
 
 @pytest.fixture

@@ -95,7 +95,10 @@ def error_page() -> str:
 
 def command_pages() -> dict[str, str]:
     """A page for each command, with its help and that of its subcommands."""
-    rows = ((f"[`magical {name}`]({name}.md)", module.HELP) for name, module in cli.find_commands().items())
+    rows = (
+        (f"[`magical {name}`]({name}.md)", module.HELP)
+        for name, module in cli.find_commands().items()
+    )
     made = {
         "commands/index.md": (
             "# Commands\n\nEvery command takes `--help`; most take `--json`, with which the last "

@@ -7,9 +7,9 @@ needs PyTorch is imported on first use.
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from magical.runs import is_run
 from magical_baselines.algorithms import Algorithm, algorithm_names, find_algorithm, read_config
 from magical_baselines.config import Config
-from magical.runs import is_run
 
 if TYPE_CHECKING:
     from magical_baselines.policy import NetworkPolicy, TrainedPolicy, load_policy

@@ -14,9 +14,9 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from magical.files import write_atomically
+from magical.scene import NUM_ACTIONS
 from magical_baselines.config import NetworkSettings
 from magical_baselines.models import Trunk
-from magical.scene import NUM_ACTIONS
 
 FEATURES = 32
 HIDDEN = 128

@@ -13,6 +13,12 @@ from typing import Any, ClassVar, Self, get_args, get_origin
 
 from magical.envs.action_spec import ActionSpaceName
 from magical.errors import InvalidConfigError, PluginError, UnknownNameError
+from magical.messages import quoted
+from magical.observe import PRESETS, STATE, ObservationSpec, make_spec
+from magical.observe.presets import GROUP
+from magical.plugins import is_plugin
+from magical.runs.sources import DEMONSTRATIONS, LEARNED_FROM, NUM_DEMOS
+from magical.tasks import get_task
 from magical_baselines.augmentation.names import Augmentations, parse_augmentations
 from magical_baselines.networks import network_names, sources_of
 from magical_baselines.settings import (
@@ -29,12 +35,6 @@ from magical_baselines.settings import (
     option,
     type_hints,
 )
-from magical.messages import quoted
-from magical.observe import PRESETS, STATE, ObservationSpec, make_spec
-from magical.observe.presets import GROUP
-from magical.plugins import is_plugin
-from magical.runs.sources import DEMONSTRATIONS, LEARNED_FROM, NUM_DEMOS
-from magical.tasks import get_task
 
 APPENDIX, PUBLISHED = "appendix", "published"
 CONVENTIONS = (APPENDIX, PUBLISHED)

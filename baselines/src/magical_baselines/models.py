@@ -17,9 +17,9 @@ from torch.nn import functional
 from torch.nn.modules.batchnorm import _BatchNorm
 
 from magical.errors import PluginError
+from magical.scene import NUM_ACTIONS
 from magical_baselines.config import PIXEL_RANGES
 from magical_baselines.networks import find_network
-from magical.scene import NUM_ACTIONS
 
 EMBEDDING = 32  # size of the learnt embedding of an action (docs/specification.md, section 11)
 # Inputs that an action adds to the first and the last linear layer, by how it is joined.

@@ -14,11 +14,14 @@ from magical.envs import parse_env_id
 from magical.errors import DivergedError, ObservationError, PolicyError
 from magical.evaluation.entry import LEARNED_FROM, THREADS
 from magical.evaluation.policy import Actions, Mask
+from magical.observe import ObservationSpec
+from magical.runs.folder import CHECKPOINT, RECORD, read_json
+from magical.runs.sources import RENDERED_STATES
 from magical_baselines.algorithms import find_algorithm, read_config
 from magical_baselines.augmentation.augment import to_unit
 from magical_baselines.config import Config
-from magical_baselines.running.checkpoints import load_checkpoint, restoring
 from magical_baselines.data.rendered_data import RESAMPLING
+from magical_baselines.running.checkpoints import load_checkpoint, restoring
 from magical_baselines.running.devices import (
     Compute,
     choose_device,
@@ -27,9 +30,6 @@ from magical_baselines.running.devices import (
     num_threads,
     read_compute,
 )
-from magical.observe import ObservationSpec
-from magical.runs.folder import CHECKPOINT, RECORD, read_json
-from magical.runs.sources import RENDERED_STATES
 
 
 class TrainedPolicy:

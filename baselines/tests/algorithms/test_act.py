@@ -8,10 +8,10 @@ import torch
 from torch import nn
 from torch.distributions import Normal, kl_divergence
 
+from baselines.tests.conftest import TASKS
 from magical_baselines.algorithms import act
 from magical_baselines.algorithms.act import ACTConfig, act_losses, make_policy
 from magical_baselines.sequences.chunks import Chunks
-from baselines.tests.conftest import TASKS
 
 LENGTH = 4
 SPACES = ("discrete", "continuous")

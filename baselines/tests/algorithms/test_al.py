@@ -10,8 +10,11 @@ import torch
 from PIL import Image
 from scipy.optimize import minimize
 
+from baselines.tests.conftest import TASKS
+from baselines.tests.tiny_runs import CPU, assert_same, checkpoint, tiny
 from magical.demos import Trajectory
 from magical.errors import InvalidConfigError
+from magical.observe import PRESETS
 from magical_baselines import train
 from magical_baselines.algorithms import al
 from magical_baselines.algorithms.al import (
@@ -32,9 +35,6 @@ from magical_baselines.data.expert_data import ExpertData
 from magical_baselines.reinforcement.monitoring import Metrics
 from magical_baselines.reinforcement.replay_buffer import ReplayBuffer
 from magical_baselines.reinforcement.rollouts import Rollout
-from magical.observe import PRESETS
-from baselines.tests.conftest import TASKS
-from baselines.tests.tiny_runs import CPU, assert_same, checkpoint, tiny
 
 Weigh = Callable[[torch.Tensor, torch.Tensor], tuple[torch.Tensor, torch.Tensor]]
 

@@ -13,10 +13,16 @@ import numpy as np
 import pytest
 import torch
 
+from baselines.tests import tiny_runs
+from baselines.tests.conftest import TASKS, picture_demo, write_demos
+from baselines.tests.tiny_runs import assert_same, checkpoint, same_weights
 from magical.demos import Trajectory, observations
 from magical.errors import CheckpointError, DivergedError, InvalidConfigError, RunFolderError
 from magical.evaluation import evaluate
-from magical.evaluation import load_policy
+from magical.physics import Simulation
+from magical.runs import read_metrics
+from magical.runs.folder import CHECKPOINT
+from magical.tasks import get_task
 from magical_baselines import NetworkPolicy, load_policy, train
 from magical_baselines.algorithms.bc import (
     BCConfig,
@@ -25,13 +31,6 @@ from magical_baselines.algorithms.bc import (
 )
 from magical_baselines.running import run
 from magical_baselines.running.run import Run
-from magical.physics import Simulation
-from magical.runs import read_metrics
-from magical.runs.folder import CHECKPOINT
-from magical.tasks import get_task
-from baselines.tests import tiny_runs
-from baselines.tests.conftest import TASKS, picture_demo, write_demos
-from baselines.tests.tiny_runs import assert_same, checkpoint, same_weights
 
 
 def tiny(demos: Path, **fields: Any) -> BCConfig:
@@ -321,4 +320,4 @@ def test_rendered_states_are_recorded_only_if_states_were_rendered(
          ["demonstrations", "rendered states"]),
     ):  # fmt: skip
         train(config, tmp_path / name)
-        assert getattr(load_policy(tmp_path / name), "record")["learned_from"] == expected
+        assert load_policy(tmp_path / name).record["learned_from"] == expected

@@ -7,6 +7,9 @@ from typing import Any
 
 import pytest
 
+from baselines.tests import tiny_runs
+from baselines.tests.conftest import TASKS
+from baselines.tests.tiny_runs import assert_same, checkpoint
 from magical.cli import main
 from magical.demos import Dataset, DatasetWriter, Trajectory
 from magical.demos.store import manifest
@@ -18,13 +21,10 @@ from magical.errors import (
     UnknownNameError,
 )
 from magical.experts import goals
+from magical.runs import read_metrics
 from magical_baselines import train
 from magical_baselines.algorithms.bc import BCConfig
 from magical_baselines.algorithms.dagger import AGGREGATE, DAggerConfig
-from magical.runs import read_metrics
-from baselines.tests import tiny_runs
-from baselines.tests.conftest import TASKS
-from baselines.tests.tiny_runs import assert_same, checkpoint
 
 
 def tiny(demos: Path, **fields: Any) -> DAggerConfig:

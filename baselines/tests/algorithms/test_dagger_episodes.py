@@ -13,9 +13,9 @@ from magical.envs import EnvId
 from magical.envs.vector import MagicalVectorEnv
 from magical.experts import Memory, expert_for, strategy_seed
 from magical.experts.memory import note_other_action
-from magical_baselines.algorithms.dagger import collect_labelled
 from magical.physics import Simulation
 from magical.scene import Poses, State
+from magical_baselines.algorithms.dagger import collect_labelled
 
 ENV_IDS = (
     EnvId("MoveToRegion", "Demo"),

@@ -8,6 +8,8 @@ import pytest
 import torch
 from torch import Tensor, nn
 
+from baselines.tests.conftest import TASKS
+from baselines.tests.tiny_runs import CPU
 from magical.errors import InvalidConfigError
 from magical_baselines.algorithms import diffusion
 from magical_baselines.algorithms.diffusion import (
@@ -18,8 +20,6 @@ from magical_baselines.algorithms.diffusion import (
     make_policy,
 )
 from magical_baselines.sequences.chunks import Chunks
-from baselines.tests.conftest import TASKS
-from baselines.tests.tiny_runs import CPU
 
 LENGTH = 4
 

@@ -9,8 +9,11 @@ import pytest
 import torch
 from torch import Tensor, nn
 
+from baselines.tests.conftest import TASKS
+from baselines.tests.tiny_runs import CPU, tiny
 from magical.demos import Trajectory
 from magical.errors import InvalidConfigError
+from magical.observe import PRESETS
 from magical_baselines.algorithms.gail import (
     DiscriminatorBatch,
     DiscriminatorTrainer,
@@ -29,9 +32,6 @@ from magical_baselines.algorithms.wgail_gp import (
 )
 from magical_baselines.data.expert_data import ExpertData
 from magical_baselines.reinforcement.replay_buffer import ROLLOUTS, ReplayBuffer
-from magical.observe import PRESETS
-from baselines.tests.conftest import TASKS
-from baselines.tests.tiny_runs import CPU, tiny
 
 
 class Linear(nn.Module):

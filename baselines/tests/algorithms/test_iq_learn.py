@@ -11,8 +11,11 @@ import pytest
 import torch
 from torch import Tensor
 
+from baselines.tests.conftest import TASKS
+from baselines.tests.tiny_runs import checkpoint, tiny
 from magical.demos import Trajectory
 from magical.errors import InvalidConfigError
+from magical.runs import read_metrics
 from magical_baselines import train
 from magical_baselines.algorithms import iq_learn
 from magical_baselines.algorithms.iq_learn import (
@@ -26,9 +29,6 @@ from magical_baselines.algorithms.iq_learn import (
 from magical_baselines.augmentation.augment import to_unit
 from magical_baselines.reinforcement.transitions import Transitions
 from magical_baselines.running.run import Run
-from magical.runs import read_metrics
-from baselines.tests.conftest import TASKS
-from baselines.tests.tiny_runs import checkpoint, tiny
 
 
 def batch_of(actions: list[int], ends: list[bool]) -> Transitions:

@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 import torch
 
+from baselines.tests.tiny_runs import checkpoint, tiny
 from magical.envs.vector import MagicalVectorEnv
 from magical.errors import InvalidConfigError, UnknownNameError
 from magical.evaluation import evaluate
+from magical.runs import read_metrics
 from magical_baselines import load_policy, train
 from magical_baselines.algorithms import ppo
 from magical_baselines.algorithms.ppo import PPOConfig, Samples, make_policy, ppo_loss
 from magical_baselines.augmentation.augment import to_unit
 from magical_baselines.reinforcement.rollouts import RolloutEnvs, collect_rollout
-from magical.runs import read_metrics
-from baselines.tests.tiny_runs import checkpoint, tiny
 
 
 def rng() -> np.random.Generator:

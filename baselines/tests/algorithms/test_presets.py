@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from magical.evaluation import evaluate
-from magical_baselines import Config, algorithm_names, find_algorithm, train
-from magical_baselines.algorithms import al, object_bc
-from magical_baselines.config import options
-from magical_baselines.running.streams import Purpose
 from baselines.tests.conftest import TASKS
 from baselines.tests.tiny_runs import assert_same, checkpoint, same_weights, tiny
+from magical.evaluation import evaluate
+from magical_baselines import Config, algorithm_names, find_algorithm, train
+from magical_baselines.algorithms import al
+from magical_baselines.config import options
+from magical_baselines.running.streams import Purpose
+from magical_goals import object_bc
 
 # Settings with other values than those of the smallest run: each has to change the weights.
 CLONING: dict[str, Any] = {

@@ -11,10 +11,13 @@ import pytest
 import torch
 from torch import Tensor, nn
 
+from baselines.tests.conftest import TASKS
+from baselines.tests.tiny_runs import tiny
 from magical.cli import main
 from magical.evaluation import Policy
 from magical.evaluation.protocol import Evaluation
 from magical.evaluation.rollouts import RepeatedEvaluation
+from magical.scene import NUM_ACTIONS
 from magical_baselines import train
 from magical_baselines.algorithms import bc, ppo
 from magical_baselines.algorithms.bc import BCConfig
@@ -25,9 +28,6 @@ from magical_baselines.config import CONVENTIONS, NetworkSettings
 from magical_baselines.models import EMBEDDING, Trunk
 from magical_baselines.reinforcement.reward_normalisation import RewardNormaliser, reward_floor
 from magical_baselines.reinforcement.rollouts import RolloutEnvs
-from magical.scene import NUM_ACTIONS
-from baselines.tests.conftest import TASKS
-from baselines.tests.tiny_runs import tiny
 
 ONE = TASKS[:1]
 IMAGE = (12, 96, 96)

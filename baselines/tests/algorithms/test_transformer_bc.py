@@ -9,6 +9,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from baselines.tests.conftest import TASKS, picture_demo
+from baselines.tests.tiny_runs import CPU
+from magical.observe import PRESETS
+from magical.scene import NOOP
 from magical_baselines.algorithms.transformer_bc import (
     WIDTH,
     MemoryNetwork,
@@ -20,10 +24,6 @@ from magical_baselines.algorithms.transformer_bc import (
 )
 from magical_baselines.augmentation.augment import to_unit
 from magical_baselines.data.expert_data import ExpertData
-from magical.observe import PRESETS
-from magical.scene import NOOP
-from baselines.tests.conftest import TASKS, picture_demo
-from baselines.tests.tiny_runs import CPU
 
 WINDOW = 4
 ID = "magical/MoveToCorner-Demo-v0"

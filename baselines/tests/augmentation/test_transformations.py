@@ -9,10 +9,18 @@ import pytest
 import torch
 from torch import nn
 
+from baselines.tests.conftest import picture_demo, write_demos
+from baselines.tests.tiny_runs import checkpoint, tiny
 from magical.demos import Trajectory
 from magical.demos.generate import demonstrate
 from magical.envs import EnvId
 from magical.errors import DemonstrationsError, InvalidConfigError, UnknownNameError
+from magical.observe import PRESETS
+from magical.render.palette import SHADES
+from magical.runs.sources import RENDERED_STATES
+from magical.scene import ACTION_NAMES
+from magical.scene.actions import MIRRORED_ACTIONS
+from magical.scene.vocabulary import COLOURS
 from magical_baselines import load_policy, train
 from magical_baselines.algorithms.bc import BCConfig
 from magical_baselines.augmentation.names import SETS
@@ -25,14 +33,6 @@ from magical_baselines.augmentation.transformations import (
 from magical_baselines.data.expert_data import ExpertData
 from magical_baselines.data.rendered_data import RenderedExpertData
 from magical_baselines.models import new_statistics
-from magical.observe import PRESETS
-from magical.render.palette import SHADES
-from magical.runs.sources import RENDERED_STATES
-from magical.scene import ACTION_NAMES
-from magical.scene.actions import MIRRORED_ACTIONS
-from magical.scene.vocabulary import COLOURS
-from baselines.tests.conftest import picture_demo, write_demos
-from baselines.tests.tiny_runs import checkpoint, tiny
 
 TASK = "MatchRegions"
 ROWS = np.array([0, 7, 30, 61])

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from baselines.tests.conftest import STEPS, TASKS, picture_demo
 from magical.demos import Actor, Dataset, DatasetWriter, Trajectory, observations
 from magical.errors import DemonstrationsError
+from magical.observe import PRESETS
 from magical_baselines.config import IMAGE_OBSERVATIONS
 from magical_baselines.data.expert_data import ExpertData, sample_demonstrations, split_evenly
-from magical.observe import PRESETS
-from baselines.tests.conftest import STEPS, TASKS, picture_demo
 
 
 def pairs(trajectories: list[Trajectory], task: str) -> list[tuple[str, Trajectory]]:

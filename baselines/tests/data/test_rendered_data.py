@@ -8,10 +8,14 @@ import numpy as np
 import pytest
 import torch
 
+from baselines.tests.conftest import picture_demo
+from baselines.tests.tiny_runs import tiny
 from magical.demos import Dataset, Trajectory
 from magical.demos.generate import generate
 from magical.envs import EnvId
 from magical.errors import DemonstrationsError
+from magical.observe import PRESETS
+from magical.runs.folder import RECORD, read_json
 from magical_baselines import train
 from magical_baselines.algorithms.bc import BCConfig
 from magical_baselines.augmentation.augment import NOISE_STD
@@ -19,10 +23,6 @@ from magical_baselines.augmentation.names import SETS, parse_augmentations
 from magical_baselines.config import IMAGE_OBSERVATIONS
 from magical_baselines.data.expert_data import ExpertData
 from magical_baselines.data.rendered_data import RenderedExpertData, choose_image_data
-from magical.observe import PRESETS
-from magical.runs.folder import RECORD, read_json
-from baselines.tests.conftest import picture_demo
-from baselines.tests.tiny_runs import tiny
 
 TASKS = ("MoveToRegion", "MatchRegions")
 Pairs = list[tuple[str, Trajectory]]

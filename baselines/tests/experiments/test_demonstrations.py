@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from baselines.tests.experiments.conftest import Planned, Started
 from magical.demos import Dataset, DatasetWriter
 from magical.demos.generate import generate
 from magical.envs.seeds import episode_seed
@@ -18,7 +19,6 @@ from magical.errors import DatasetError, DemonstrationsError, ResultsError
 from magical.evaluation import read_entry
 from magical_baselines.experiments.demonstrations import generate_missing
 from magical_baselines.experiments.execution import execute
-from baselines.tests.experiments.conftest import Planned, Started
 
 
 def test_demonstrations_of_a_dataset(
@@ -68,7 +68,9 @@ def test_a_signal_ends_the_generation_of_demonstrations(
         os.kill(os.getpid(), signal.SIGTERM)
         generate_missing(*args, **kwargs)
 
-    monkeypatch.setattr("magical_baselines.experiments.demonstrations.generate_missing", signal_then_generate)
+    monkeypatch.setattr(
+        "magical_baselines.experiments.demonstrations.generate_missing", signal_then_generate
+    )
     summary = execute(planned(), out)
     assert (summary.interrupted, inline) == (True, [])
     assert len(Dataset.open(out / "demos" / "expert-3")) == 1

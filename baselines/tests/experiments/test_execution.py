@@ -14,25 +14,25 @@ import torch
 from torch import nn
 
 import magical
+from baselines.tests.experiments.conftest import Planned, Started
+from baselines.tests.experiments.processes import scores_of
 from magical.cli import main
 from magical.errors import DatasetError, PlacementError, ResultsError
 from magical.evaluation import Evaluation, environments, read_entry
-from magical_baselines.experiments import execution, forecast, one_run, results
-from magical_baselines.experiments.execution import LocalExecutor, Resources, execute
-from magical_baselines.experiments.one_run import evaluate_reference
-from magical_baselines.experiments.results import Results
-from magical_baselines.experiments.status import read_status
 from magical.files import lock_now
-from magical_baselines import load_policy, read_config
-from magical_baselines.algorithms import bc
-from magical_baselines.running import training
 from magical.plugins import import_user_module
 from magical.runs import versions
 from magical.runs.machine import machine
 from magical.runs.plan import read_listing
 from magical.tasks import unregister_task
-from baselines.tests.experiments.conftest import Planned, Started
-from baselines.tests.experiments.processes import scores_of
+from magical_baselines import load_policy, read_config
+from magical_baselines.algorithms import bc
+from magical_baselines.experiments import execution, forecast, one_run, results
+from magical_baselines.experiments.execution import LocalExecutor, Resources, execute
+from magical_baselines.experiments.one_run import evaluate_reference
+from magical_baselines.experiments.results import Results
+from magical_baselines.experiments.status import read_status
+from magical_baselines.running import training
 
 
 def results_of(out: Path) -> dict[str, dict[str, Any]]:

@@ -8,13 +8,13 @@ from typing import Any
 
 import pytest
 
+from baselines.tests.experiments import processes
+from baselines.tests.experiments.processes import TIMEOUT, lines, reached, running, scores_of
 from magical.errors import WorkerDiedError
 from magical_baselines.experiments import demonstrations
 from magical_baselines.experiments.execution import Resources, execute
 from magical_baselines.experiments.plan import PlannedRun
 from magical_baselines.experiments.status import read_status
-from baselines.tests.experiments import processes
-from baselines.tests.experiments.processes import TIMEOUT, lines, reached, running, scores_of
 
 BATCHES = 6  # of each run
 
@@ -68,7 +68,9 @@ def test_a_killed_process_costs_what_it_was_doing_and_no_more(
 ) -> None:
     runs = planned()
     for part in ("finish", "evaluate_reference"):
-        monkeypatch.setattr(f"magical_baselines.experiments.execution.{part}", getattr(processes, part))
+        monkeypatch.setattr(
+            f"magical_baselines.experiments.execution.{part}", getattr(processes, part)
+        )
     generated = demonstrations.generate_missing
 
     def killed_once(*args: Any, **kwargs: Any) -> None:

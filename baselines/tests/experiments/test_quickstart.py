@@ -8,9 +8,9 @@ import pytest
 
 from magical import cli
 from magical.evaluation import read_entry
+from magical.runs.sources import learned_from
 from magical_baselines.experiments.plan import find_plan, read_plan
 from magical_baselines.experiments.status import read_status
-from magical.runs.sources import learned_from
 
 for _extra in ("torch", "safetensors", "jinja2", "matplotlib"):
     pytest.importorskip(_extra, reason="the learning and report extras are not installed")

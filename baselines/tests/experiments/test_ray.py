@@ -11,13 +11,13 @@ pytest.importorskip("ray", reason="the extra ray is not installed")
 
 from ray.cluster_utils import Cluster
 
+from baselines.tests.experiments.conftest import Planned
+from baselines.tests.experiments.processes import TIMEOUT, reached, running, scores_of
 from magical.cli import main
 from magical_baselines.experiments.execution import Resources, execute
 from magical_baselines.experiments.ray_cluster import RayExecutor, pack, unpack
 from magical_baselines.experiments.results import Results, opened
 from magical_baselines.experiments.status import read_status
-from baselines.tests.experiments.conftest import Planned
-from baselines.tests.experiments.processes import TIMEOUT, reached, running, scores_of
 
 
 @pytest.fixture(autouse=True)

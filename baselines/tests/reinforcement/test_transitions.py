@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 import torch
 
+from baselines.tests.conftest import TASKS, picture_demo
 from magical.demos import Trajectory
 from magical.errors import DemonstrationsError
-from magical_baselines.reinforcement.transitions import TransitionBuffer
 from magical.observe import PixelSpec
 from magical.scene import View
-from baselines.tests.conftest import TASKS, picture_demo
+from magical_baselines.reinforcement.transitions import TransitionBuffer
 
 SPEC = PixelSpec(((View.EGO, 3), (View.ALLO, 1)), size=2)
 NUM_ENVS, LENGTH = 3, 4  # steps of an episode

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import torch
 
+from baselines.tests.tiny_runs import tiny
 from magical import plugins
 from magical.cli import main
 from magical.envs.seeds import evaluation_seed
@@ -19,14 +20,13 @@ from magical.errors import MagicalError, PluginError
 from magical.evaluation import Entry, RolloutScore, environments
 from magical.evaluation.protocol import Evaluation
 from magical.evaluation.provenance import evaluation_details
-from magical_baselines import load_policy, read_config, train
-from magical_baselines.algorithms.bc import BCConfig
-from magical_baselines.running.checkpoints import load_checkpoint, save_checkpoint
 from magical.plugins import import_user_module
 from magical.runs import read_metrics
 from magical.runs.folder import CHECKPOINT, CONFIG, METRICS, RECORD
+from magical_baselines import load_policy, read_config, train
+from magical_baselines.algorithms.bc import BCConfig
+from magical_baselines.running.checkpoints import load_checkpoint, save_checkpoint
 from magical_play.policies import Policies
-from baselines.tests.tiny_runs import tiny
 
 ODD: tuple[Any, ...] = (None, True, -1, 10**400, 1e308, "", "x" * 10_000, [], {}, [[]], {"a": 1})
 

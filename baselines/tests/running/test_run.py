@@ -11,14 +11,14 @@ import pytest
 import torch
 
 from magical.errors import DivergedError, InvalidConfigError, RunFolderError, UnknownNameError
+from magical.runs import read_metrics
+from magical.runs.folder import METRICS, opened_folder
 from magical_baselines import Algorithm, algorithm_names, find_algorithm, train
 from magical_baselines.algorithms.bc import BCConfig
 from magical_baselines.algorithms.bc import make_policy as bc_policy
 from magical_baselines.config import CHECKPOINT_SECONDS, options
 from magical_baselines.running.devices import restored_threads
 from magical_baselines.running.run import Run
-from magical.runs import read_metrics
-from magical.runs.folder import METRICS, opened_folder
 
 CONFIGURATION = BCConfig.preset("paper", tasks=("MoveToCorner",), demos="demos")
 

@@ -9,16 +9,16 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from baselines.tests.conftest import TASKS, picture_demo
+from baselines.tests.tiny_runs import CPU
 from magical.demos import Trajectory
 from magical.errors import InvalidConfigError
+from magical.observe import PRESETS
+from magical.scene.actions import to_continuous
 from magical_baselines.algorithms.act import ACTConfig, ACTPolicy
 from magical_baselines.algorithms.diffusion import DiffusionConfig
 from magical_baselines.data.expert_data import ExpertData
 from magical_baselines.sequences.chunks import ChunkPolicy, sample_chunks
-from magical.observe import PRESETS
-from magical.scene.actions import to_continuous
-from baselines.tests.conftest import TASKS, picture_demo
-from baselines.tests.tiny_runs import CPU
 
 LENGTH = 5
 

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 import torch
 
+from baselines.tests.conftest import TASKS
+from baselines.tests.tiny_runs import assert_same, checkpoint, tiny
 from magical.envs import EnvId
 from magical.envs.vector import MagicalVectorEnv
 from magical.evaluation.rollouts import play
 from magical_baselines import find_algorithm, train
 from magical_baselines.policy import TrainedPolicy
 from magical_baselines.sequences.fitting import masked_mean
-from baselines.tests.conftest import TASKS
-from baselines.tests.tiny_runs import assert_same, checkpoint, tiny
 
 ALGORITHMS = ("act", "diffusion", "transformer-bc")
 

@@ -32,9 +32,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print, task by task."""
-    from magical_goals.program_bc import beliefs_of
     from magical_goals.intent.acting import confidence_by_variant
     from magical_goals.intent.picture import draw_beliefs
+    from magical_goals.program_bc import beliefs_of
 
     beliefs = beliefs_of(args.folder)
     if args.picture:

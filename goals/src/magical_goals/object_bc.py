@@ -20,9 +20,20 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from magical.errors import InvalidConfigError
+from magical.observe.pixels import CHANNELS, STACK
+from magical.runs.sources import BENCHMARK_PRIOR, PARSER_SOURCES
+from magical.scene.actions import MIRRORED_ACTIONS
+from magical.tasks import get_task
 from magical_baselines.algorithms import Algorithm
 from magical_baselines.config import Config, DemonstrationSettings
 from magical_baselines.data.expert_data import load_demonstrations
+from magical_baselines.running.averages import Averages
+from magical_baselines.running.checkpoints import StateDict, restoring
+from magical_baselines.running.devices import choose_device, cpu_threads
+from magical_baselines.running.optimizers import load_optimizer, optimizer_state, set_learning_rate
+from magical_baselines.running.run import Run
+from magical_baselines.running.streams import Purpose, seeded_init, stream
+from magical_baselines.settings import FRACTION, NOT_NEGATIVE, POSITIVE, option
 from magical_goals.objects.components import MAX_REGIONS, Pixels
 from magical_goals.objects.control import Controller, control_inputs
 from magical_goals.objects.data import (
@@ -36,17 +47,6 @@ from magical_goals.objects.hindsight import ROBOT_TARGET
 from magical_goals.objects.parser import MAX_BLOCKS
 from magical_goals.objects.perception import PARSER, PERCEPTIONS, get_perception
 from magical_goals.objects.table import ObjectTable, to_table
-from magical_baselines.running.averages import Averages
-from magical_baselines.running.checkpoints import StateDict, restoring
-from magical_baselines.running.devices import choose_device, cpu_threads
-from magical_baselines.running.optimizers import load_optimizer, optimizer_state, set_learning_rate
-from magical_baselines.running.run import Run
-from magical_baselines.running.streams import Purpose, seeded_init, stream
-from magical_baselines.settings import FRACTION, NOT_NEGATIVE, POSITIVE, option
-from magical.observe.pixels import CHANNELS, STACK
-from magical.runs.sources import BENCHMARK_PRIOR, PARSER_SOURCES
-from magical.scene.actions import MIRRORED_ACTIONS
-from magical.tasks import get_task
 
 STANDS, STANDS_ANGLE = 0.01, 0.05  # units, rad: a robot that moved less over the stack stands still
 WEIGHT_DECAY = 1e-2  # of the controller

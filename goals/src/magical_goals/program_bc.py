@@ -25,30 +25,30 @@ from torch import Tensor
 
 from magical.errors import CheckpointError, InvalidProgramError, RunFolderError
 from magical.evaluation.policy import Actions, Mask
+from magical.observe.pixels import STACK
+from magical.scene import NOOP
+from magical.scene.poses import ROBOT
+from magical.tasks.programs import parse
+from magical.untrusted import parse_json
 from magical_baselines.algorithms import Algorithm
+from magical_baselines.data.expert_data import load_demonstrations
+from magical_baselines.policy import TrainedPolicy, load_policy, sample_actions, to_inputs
+from magical_baselines.running.run import Run
+from magical_baselines.running.streams import Purpose, seeded_init, stream
+from magical_goals.intent.acting import Intention
+from magical_goals.intent.posterior import Belief, Explanation, infer
+from magical_goals.intent.scenes import parsed_episode, parsed_poses, parsed_scene
 from magical_goals.object_bc import (
     ObjectBCConfig,
     ObjectBCTrainer,
     ObjectPolicy,
     stacked_frames,
 )
-from magical_baselines.data.expert_data import load_demonstrations
-from magical_goals.intent.acting import Intention
-from magical_goals.intent.posterior import Belief, Explanation, infer
-from magical_goals.intent.scenes import parsed_episode, parsed_poses, parsed_scene
 from magical_goals.objects.data import ParsedDemonstration, parse_demonstrations
 from magical_goals.objects.hindsight import track
 from magical_goals.objects.parser import ParsedFrames
 from magical_goals.planning.motion import Motion, fit_motion
 from magical_goals.planning.planner import Planner, Situation
-from magical_baselines.policy import TrainedPolicy, load_policy, sample_actions, to_inputs
-from magical_baselines.running.run import Run
-from magical_baselines.running.streams import Purpose, seeded_init, stream
-from magical.observe.pixels import STACK
-from magical.scene import NOOP
-from magical.scene.poses import ROBOT
-from magical.tasks.programs import parse
-from magical.untrusted import parse_json
 
 MAX_BYTES = 1 << 16  # size of a task's belief as JSON
 MOTION_SHAPES = {"drive": (2, 3), "turn": (2, 2), "grasp": (3,)}  # float64: see `Motion`

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from magical_goals.intent.acting import Intention
-from magical_goals.intent.posterior import Belief, Explanation
-from magical_goals.objects.hindsight import ROBOT_TARGET
 from magical.scene import Block, Colour, Pose, Poses, Region, Scene, Shape
 from magical.scene.poses import FIRST_BLOCK
 from magical.tasks import TASKS
 from magical.tasks.programs import parse
 from magical.tasks.programs.selections import Mismatched
+from magical_goals.intent.acting import Intention
+from magical_goals.intent.posterior import Belief, Explanation
+from magical_goals.objects.hindsight import ROBOT_TARGET
 
 FIX, MATCH = TASKS["FixColour"].demo, TASKS["MatchRegions"].demo
 OUT = "Every(Mismatched(), OutOfRegions())"

@@ -8,13 +8,6 @@ import pytest
 
 from magical.demos import Actor
 from magical.demos.generate import demonstrate
-from magical_goals.intent import demonstrator
-from magical_goals.intent.demonstrator import MOVE_COST, RATIONALITY, SLIPS, Episode
-from magical_goals.intent.meanings import Language
-from magical_goals.intent.posterior import Belief, infer
-from magical_goals.intent.scenes import moves, parsed_episode
-from magical_goals.objects.data import parse_demonstrations
-from magical_goals.objects.parser import parse_frames
 from magical.scene import Poses, Scene
 from magical.scene.poses import FIRST_BLOCK
 from magical.tasks import TASKS
@@ -22,6 +15,13 @@ from magical.tasks.programs import Goal, Together, parse
 from magical.tasks.programs.goals import ways_at_start
 from magical.tasks.programs.prior import bits
 from magical.tasks.programs.states import States
+from magical_goals.intent import demonstrator
+from magical_goals.intent.demonstrator import MOVE_COST, RATIONALITY, SLIPS, Episode
+from magical_goals.intent.meanings import Language
+from magical_goals.intent.posterior import Belief, infer
+from magical_goals.intent.scenes import moves, parsed_episode
+from magical_goals.objects.data import parse_demonstrations
+from magical_goals.objects.parser import parse_frames
 
 FIX = TASKS["FixColour"].demo
 MISMATCHED = "Every(Mismatched(), OutOfRegions())"

@@ -7,6 +7,9 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from magical.render.palette import GREY, RGB, SHADES, WHITE
+from magical.scene.constants import FINGER_ROOT_X, FINGER_ROOT_Y, FRAME_SIZE, ROBOT_RADIUS, SIDES
+from magical.scene.vocabulary import COLOURS
 from magical_goals.objects.components import (
     MAX_REGION_PIXELS,
     MAX_REGIONS,
@@ -29,9 +32,6 @@ from magical_goals.objects.parser import (
     SHAPE_WEIGHTS,
     ParsedFrames,
 )
-from magical.render.palette import GREY, RGB, SHADES, WHITE
-from magical.scene.constants import FINGER_ROOT_X, FINGER_ROOT_Y, FRAME_SIZE, ROBOT_RADIUS, SIDES
-from magical.scene.vocabulary import COLOURS
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

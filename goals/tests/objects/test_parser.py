@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from magical_goals.objects.parser import parse_frames
+from goals.tests.objects import plain_parser
 from magical.physics import Simulation
 from magical.render import Renderer
 from magical.scene import NUM_ACTIONS, Poses, Scene, View
@@ -15,7 +15,7 @@ from magical.scene.poses import FINGERS, FIRST_BLOCK, ROBOT
 from magical.scene.scene import Block, Pose, Region
 from magical.scene.vocabulary import COLOURS, SHAPES, Colour, Shape
 from magical.tasks import TASKS, get_task
-from goals.tests.objects import plain_parser
+from magical_goals.objects.parser import parse_frames
 
 
 def render(scene: Scene, bodies: NDArray[np.float64]) -> NDArray[np.uint8]:

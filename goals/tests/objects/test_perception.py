@@ -5,16 +5,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from baselines.tests.tiny_runs import tiny
 from magical.demos import ObservationReader
 from magical.demos.generate import demonstrate
 from magical.errors import PluginError, UnknownNameError
 from magical_baselines import load_policy, train
 from magical_goals.object_bc import ObjectBCConfig
-from magical_goals.program_bc import ProgramBCConfig
 from magical_goals.objects.components import Pixels
 from magical_goals.objects.parser import ABSENT, ParsedFrames, parse_frames
 from magical_goals.objects.perception import get_perception
-from baselines.tests.tiny_runs import tiny
+from magical_goals.program_bc import ProgramBCConfig
 
 NAME = f"{__name__}:count"
 seen: list[int] = []

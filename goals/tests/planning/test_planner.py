@@ -5,17 +5,17 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
+from goals.tests.planning.test_motion import demonstrations
 from magical.envs import EnvId
 from magical.evaluation import evaluate
 from magical.evaluation.policy import Actions, Mask
+from magical.scene import NOOP, State
+from magical.scene.actions import ACTIONS, Gripper, Longitudinal
+from magical.scene.poses import ROBOT
 from magical_goals.objects.hindsight import ROBOT_TARGET
 from magical_goals.planning.kernels import compiled_roll_out
 from magical_goals.planning.motion import Floats, Motion, fit_motion
 from magical_goals.planning.planner import HORIZON, PLANS, Planner, Situation
-from magical.scene import NOOP, State
-from magical.scene.actions import ACTIONS, Gripper, Longitudinal
-from magical.scene.poses import ROBOT
-from goals.tests.planning.test_motion import demonstrations
 
 CORNER = np.array([-0.82, 0.82])
 

@@ -2,7 +2,7 @@
 
 import threading
 from collections.abc import Callable
-from contextlib import AbstractContextManager
+from contextlib import nullcontext
 from dataclasses import dataclass
 from typing import Any
 
@@ -116,7 +116,8 @@ def _network_chooser(policy: Any, env_id: EnvId, seed: int) -> Chooser:
         else:
             observer.update(bodies)
         observations = map_arrays(lambda array: array[None], observer.out)
-        with _one_thread():
+        # One thread is faster for single observations, and leaves the other cores to players.
+        with getattr(policy, "using_threads", nullcontext)(1):
             action = int(policy.act(observations, [env_id], rng)[0])
             if not hasattr(policy, "probabilities"):
                 return Proposal(action)
@@ -124,13 +125,6 @@ def _network_chooser(policy: Any, env_id: EnvId, seed: int) -> Chooser:
         return Proposal(action, tuple(row))
 
     return choose
-
-
-def _one_thread() -> AbstractContextManager[None]:
-    """One thread is faster for single observations, and leaves the other cores to players."""
-    from magical_baselines.running.devices import cpu_threads  # imports PyTorch; only runs need it
-
-    return cpu_threads(1)
 
 
 def roll_out(policies: Policies, number: int, env_id: EnvId, seed: int) -> Trajectory:
@@ -166,7 +160,7 @@ def episode_probabilities(policy: Any, episode: Trajectory) -> NDArray[np.float6
         )
     reader = ObservationReader(episode, policy.observation)
     steps = np.arange(len(episode))
-    with _one_thread():
+    with getattr(policy, "using_threads", nullcontext)(1):
         parts = [
             policy.probabilities(reader.read(times), [episode.env_id] * len(times))
             for times in np.split(steps, steps[BATCH::BATCH])

@@ -42,8 +42,8 @@ def run(args: argparse.Namespace) -> int:
     import numpy as np
 
     from magical.evaluation import load_policy, read_entry
-    from magical.evaluation.verification import is_elsewhere, verify
     from magical.evaluation.provenance import policy_of, recorded_threads
+    from magical.evaluation.verification import is_elsewhere, verify
     from magical.runs import versions
     from magical.runs.machine import machine
 

@@ -12,9 +12,9 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from magical.errors import RunFolderError, UnknownNameError
-from magical_baselines.config import Config, options
 from magical.plugins import Registry, require_imported
 from magical.runs.folder import CONFIG, is_run, read_json
+from magical_baselines.config import Config, options
 
 if TYPE_CHECKING:
     from torch import nn

@@ -12,6 +12,8 @@ from torch.optim import SGD, Adam, Optimizer
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from magical.errors import InvalidConfigError
+from magical.observe import STATE
+from magical.runs.sources import RENDERED_STATES
 from magical_baselines.algorithms import Algorithm
 from magical_baselines.augmentation.names import Augmentations, augment_option
 from magical_baselines.augmentation.transformations import (
@@ -41,8 +43,6 @@ from magical_baselines.running.optimizers import load_optimizer, optimizer_state
 from magical_baselines.running.run import Run
 from magical_baselines.running.streams import Purpose, seeded_init, stream
 from magical_baselines.settings import BELOW_1, NOT_NEGATIVE, POSITIVE, Settings, option
-from magical.observe import STATE
-from magical.runs.sources import RENDERED_STATES
 
 ADAM_BETA_2 = 0.999
 STATISTICS_BATCHES = 50  # batches that give the averaged weights their batch-norm statistics

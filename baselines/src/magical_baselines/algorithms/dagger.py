@@ -34,6 +34,9 @@ from magical.errors import InvalidConfigError, RunFolderError
 from magical.evaluation import environments
 from magical.evaluation.policy import Policy
 from magical.experts import EpisodeExpert, expert_for, get_planner, strategy_seed
+from magical.runs.sources import EXPERT_LABELS, INTERACTION, TEST_VARIANTS
+from magical.scene import Dynamics
+from magical.tasks.axes import full_variant, short_variant
 from magical_baselines.algorithms import Algorithm
 from magical_baselines.algorithms.bc import BCConfig, BCTrainer, CloningSettings, make_policy
 from magical_baselines.config import IMAGE_OBSERVATIONS
@@ -44,9 +47,6 @@ from magical_baselines.running.checkpoints import restoring
 from magical_baselines.running.run import Run
 from magical_baselines.running.streams import Purpose, stream
 from magical_baselines.settings import FRACTION, NOT_NEGATIVE, POSITIVE, option
-from magical.runs.sources import EXPERT_LABELS, INTERACTION, TEST_VARIANTS
-from magical.scene import Dynamics
-from magical.tasks.axes import full_variant, short_variant
 
 AGGREGATE = "aggregate"  # in the run folder
 

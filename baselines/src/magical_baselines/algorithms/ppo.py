@@ -19,6 +19,10 @@ from torch import Tensor, nn
 
 from magical.envs.episode import Reward
 from magical.errors import InvalidConfigError
+from magical.observe import STATE
+from magical.plugins import is_plugin
+from magical.runs.sources import SCORE
+from magical.tasks import Horizon, have_two_horizons, require_two_horizons
 from magical_baselines.algorithms import Algorithm
 from magical_baselines.augmentation.augment import to_unit
 from magical_baselines.config import IMAGE_OBSERVATIONS, PUBLISHED, NetworkSettings
@@ -35,10 +39,6 @@ from magical_baselines.running.replay import ReplayedStep
 from magical_baselines.running.run import Run
 from magical_baselines.running.streams import Purpose, seeded_init, stream
 from magical_baselines.settings import FRACTION, NOT_NEGATIVE, POSITIVE, option
-from magical.observe import STATE
-from magical.plugins import is_plugin
-from magical.runs.sources import SCORE
-from magical.tasks import Horizon, have_two_horizons, require_two_horizons
 
 VF_COEF = 0.5
 ADVANTAGE_EPSILON = 1e-8

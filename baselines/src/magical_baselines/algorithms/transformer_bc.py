@@ -25,6 +25,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from magical.evaluation.policy import Actions, Mask
+from magical.scene import NOOP, NUM_ACTIONS
 from magical_baselines.algorithms import Algorithm
 from magical_baselines.data.expert_data import ExpertData
 from magical_baselines.models import TaskLinear, Trunk
@@ -39,7 +40,6 @@ from magical_baselines.sequences.fitting import (
     masked_mean,
 )
 from magical_baselines.settings import POSITIVE, option
-from magical.scene import NOOP, NUM_ACTIONS
 
 WIDTH, HEADS, LAYERS, DROPOUT = 128, 4, 2, 0.1  # of the transformer
 INIT_STD = 0.02  # of learnt positions

@@ -16,11 +16,11 @@ from torch import Tensor
 from torch.nn.functional import affine_grid, grid_sample
 
 from magical.errors import InvalidConfigError
+from magical.render.output import CHANNELS
 from magical_baselines.augmentation.colour import colour_jitter
 from magical_baselines.augmentation.names import Augmentations
 from magical_baselines.augmentation.noise import add_noise
 from magical_baselines.augmentation.resampling import resample
-from magical.render.output import CHANNELS
 
 NOISE_STD = 0.01  # of the range [0, 1]
 MAX_TRANSLATION = 0.05  # of the image's width and height

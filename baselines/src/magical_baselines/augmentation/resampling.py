@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical.compiled.jit import fused, inlined, nogil_entry_point
+from magical.render.output import CHANNELS
 from magical_baselines.augmentation.colour import (
     FROM_TRISTIMULUS,
     GAMMA,
@@ -22,7 +23,6 @@ from magical_baselines.augmentation.colour import (
     decode_gamma,
     root_maps,
 )
-from magical.render.output import CHANNELS
 
 LEVELS = 255  # of 8-bit pixels
 SLOTS = 2048  # of the table of jittered colours: frames have a few hundred colours

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from magical.errors import InvalidConfigError, UnknownNameError
-from magical_baselines.augmentation.palette import PERMUTATIONS
 from magical.scene.actions import MIRRORED_ACTIONS
 from magical.tasks import get_task
+from magical_baselines.augmentation.palette import PERMUTATIONS
 
 NONE = "none"
 PALETTE, MIRROR, WALLS, FRAMES = "palette", "mirror", "walls", "frames"

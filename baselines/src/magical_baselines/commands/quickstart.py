@@ -47,7 +47,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Execute the plan, write the page, say in three sentences what came of it."""
     from magical_baselines.experiments.execution import Resources, execute
-    from magical_baselines.experiments.plan import find_plan, planned_references, planned_runs, read_plan
+    from magical_baselines.experiments.plan import (
+        find_plan,
+        planned_references,
+        planned_runs,
+        read_plan,
+    )
 
     plan = read_plan(find_plan("quickstart"))
     if args.batches:

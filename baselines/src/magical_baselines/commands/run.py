@@ -65,7 +65,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Execute the plan, or describe what it would do."""
-    from magical_baselines.experiments.plan import find_plan, planned_references, planned_runs, read_plan
+    from magical_baselines.experiments.plan import (
+        find_plan,
+        planned_references,
+        planned_runs,
+        read_plan,
+    )
 
     if args.gpus and not (args.address or args.executor == "ray"):
         raise UsageError("--gpus needs --executor ray")

@@ -51,8 +51,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Train, or resume."""
     from magical.errors import InvalidConfigError
-    from magical_baselines import train
     from magical.report.figures.curves import save_learning_curves
+    from magical_baselines import train
 
     def plot_at_evaluations(step: int, metrics: Mapping[str, float | str]) -> None:
         if "evaluation_score" in metrics:
@@ -89,8 +89,8 @@ def _imports(config: "Config") -> str:
     """`--import` for each module that the configuration names, which new processes need."""
     from magical.envs.vector.workers import defining_modules
     from magical.errors import InvalidTaskError
-    from magical_baselines.algorithms import modules_of
     from magical.tasks import get_task
+    from magical_baselines.algorithms import modules_of
 
     modules = dict.fromkeys(modules_of(config))
     with suppress(InvalidTaskError):  # no module can be named, but the run has been trained

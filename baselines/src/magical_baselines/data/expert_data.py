@@ -18,6 +18,9 @@ from magical.demos import Dataset, Trajectory
 from magical.demos.store.reader import TrajectorySource
 from magical.envs.action_spec import Actions, ActionSpaceName, spec_of
 from magical.errors import DemonstrationsError, TrajectoryError
+from magical.observe import ObservationSpec
+from magical.observe.arrays import stack_indices
+from magical.scene import NOOP
 from magical_baselines.augmentation.augment import augment
 from magical_baselines.augmentation.names import Augmentations
 from magical_baselines.augmentation.palette import permute_palette
@@ -25,9 +28,6 @@ from magical_baselines.augmentation.transformations import StackTransformations
 from magical_baselines.config import Config, DemonstrationSettings
 from magical_baselines.running.run import Run
 from magical_baselines.running.streams import Purpose, stream
-from magical.observe import ObservationSpec
-from magical.observe.arrays import stack_indices
-from magical.scene import NOOP
 
 Rows = NDArray[np.int64]  # (B,) indices of samples
 TaskTrajectories = tuple[tuple[str, Trajectory], ...]  # each with the name of its task

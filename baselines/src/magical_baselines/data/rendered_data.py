@@ -17,6 +17,10 @@ from torch import Tensor
 from magical.demos import Trajectory
 from magical.errors import DemonstrationsError
 from magical.grouping import group_by
+from magical.observe import ObservationSpec, PixelSpec
+from magical.render.moved_camera import MovedCamera
+from magical.render.palette import permuted
+from magical.scene import Scene
 from magical_baselines.augmentation.augment import (
     NOISE_STD,
     Parameters,
@@ -30,10 +34,6 @@ from magical_baselines.augmentation.palette import PERMUTATIONS
 from magical_baselines.augmentation.transformations import WALLS, StackTransformations
 from magical_baselines.data.expert_data import ExpertData, Rows, TaskTrajectories
 from magical_baselines.running.run import Run
-from magical.observe import ObservationSpec, PixelSpec
-from magical.render.moved_camera import MovedCamera
-from magical.render.palette import permuted
-from magical.scene import Scene
 
 AUTO, RENDERING, RESAMPLING = "auto", "rendering", "resampling"  # how images are augmented
 

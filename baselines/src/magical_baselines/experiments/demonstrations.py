@@ -15,9 +15,9 @@ from magical.demos.store.writer import DatasetWriter
 from magical.envs.seeds import episode_seed
 from magical.errors import DatasetError, DemonstrationsError, WorkerDiedError
 from magical.evaluation import environments
+from magical_baselines.config import DemonstrationSettings
 from magical_baselines.experiments.plan import DemonstrationSource, PlannedRun
 from magical_baselines.experiments.results import DEMOS, Results, read_experiment
-from magical_baselines.config import DemonstrationSettings
 
 
 def generate_missing(folder: Path, tasks: Iterable[str], count: int, **settings: Any) -> None:

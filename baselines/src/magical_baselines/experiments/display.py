@@ -12,12 +12,12 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from magical_baselines.experiments.plan import PlannedRun
-from magical_baselines.experiments.results import DONE, FAILED, Outcome
-from magical_baselines.experiments.status import RUNNING, STATES, RunStatus, Status, read_status
 from magical.grouping import group_by
 from magical.messages import for_terminal, printable
 from magical.progress import LINE_INTERVAL, print_line
+from magical_baselines.experiments.plan import PlannedRun
+from magical_baselines.experiments.results import DONE, FAILED, Outcome
+from magical_baselines.experiments.status import RUNNING, STATES, RunStatus, Status, read_status
 
 MAX_COMMAND = 2_000  # characters of the command that continues a plan
 DAYS = 2  # from so many on, durations are in days

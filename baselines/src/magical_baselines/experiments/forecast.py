@@ -11,12 +11,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from magical.runs.plan import in_words
+from magical_baselines import Config
+from magical_baselines.config import DemonstrationSettings, EncoderSettings
 from magical_baselines.experiments.display import duration
 from magical_baselines.experiments.plan import PlannedRun
 from magical_baselines.experiments.results import DONE, FAILED, planned_states
-from magical_baselines import Config
-from magical_baselines.config import DemonstrationSettings, EncoderSettings
-from magical.runs.plan import in_words
 
 HEADER = ("method", "tasks", "seed", "time", "state")
 Way = tuple[str, str, str, str, int]  # network, observation, device, precision, threads

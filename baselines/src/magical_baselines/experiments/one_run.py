@@ -12,18 +12,18 @@ from magical.errors import MagicalError, ScoresError
 from magical.evaluation import BUILT_IN, Entry, read_entry
 from magical.evaluation.entry import ENTRY_FILE, SCORES_FILE
 from magical.evaluation.protocol import Evaluation
-from magical.evaluation.rollouts import modules_for, roll_out
 from magical.evaluation.provenance import evaluation_details
-from magical_baselines.experiments.plan import PlannedRun
-from magical_baselines.experiments.results import DONE, FAILED, Outcome
+from magical.evaluation.rollouts import modules_for, roll_out
 from magical.files import is_out_of_space, remove_partial_files
-from magical_baselines import is_run, load_policy, train
-from magical_baselines.algorithms import modules_of
-from magical_baselines.config import DemonstrationSettings
 from magical.messages import printable
 from magical.runs.folder import write_json
 from magical.runs.machine import provenance, source_commit
 from magical.runs.plan import REFERENCES, RESULT
+from magical_baselines import is_run, load_policy, train
+from magical_baselines.algorithms import modules_of
+from magical_baselines.config import DemonstrationSettings
+from magical_baselines.experiments.plan import PlannedRun
+from magical_baselines.experiments.results import DONE, FAILED, Outcome
 
 MAX_ERROR = 2_000  # characters of a recorded message
 MAX_TRACEBACK = 20_000  # and of a traceback, whose end is kept

@@ -21,15 +21,15 @@ from magical.evaluation import BUILT_IN
 from magical.evaluation.protocol import ROLLOUTS, Evaluation, environments
 from magical.experts import get_planner
 from magical.experts.noise import check_share
-from magical_baselines import Config, find_algorithm
-from magical_baselines.algorithms import references
-from magical_baselines.config import DemonstrationSettings, options
 from magical.messages import quoted
 from magical.plugins import require_imported
 from magical.runs.plan import ListedRun, file_name
 from magical.tasks import TASKS, load_task, parse_horizon
 from magical.tasks.axes import full_variant
 from magical.untrusted import read_toml
+from magical_baselines import Config, find_algorithm
+from magical_baselines.algorithms import references
+from magical_baselines.config import DemonstrationSettings, options
 
 PLANS = Path(str(files("magical_baselines"))) / "plans"  # those of this package
 EXPERT = "expert"  # as `demos`: demonstrations of the scripted experts, generated for the plan

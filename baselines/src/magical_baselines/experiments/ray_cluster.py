@@ -24,15 +24,15 @@ from ray.exceptions import (
 )
 
 from magical.errors import ClusterError, ResultsError
-from magical_baselines.experiments.one_run import finish, modules_of_run
-from magical_baselines.experiments.plan import PlannedRun
-from magical_baselines.experiments.results import DONE, Outcome, Results, read_experiment
 from magical.files import LOCK, make_folder
-from magical_baselines.running.interrupts import SIGNALS
 from magical.messages import printable
 from magical.runs.folder import CHECKPOINT
 from magical.runs.plan import RESULT
 from magical.tasks import load_tasks
+from magical_baselines.experiments.one_run import finish, modules_of_run
+from magical_baselines.experiments.plan import PlannedRun
+from magical_baselines.experiments.results import DONE, Outcome, Results, read_experiment
+from magical_baselines.running.interrupts import SIGNALS
 
 RETRIES = 3  # after a node, or a process on it, has died
 MAX_ERROR = 500  # characters of Ray's own messages

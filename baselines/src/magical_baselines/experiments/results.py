@@ -17,12 +17,12 @@ from typing import Any, Literal
 
 from magical import __version__
 from magical.errors import ResultsError
-from magical_baselines.experiments.plan import PlannedRun
 from magical.files import OwnedFolder
 from magical.messages import quoted
 from magical.runs.folder import versions, write_json
 from magical.runs.plan import PLAN, RESULT, RUNS, read_listing
 from magical.untrusted import read_json
+from magical_baselines.experiments.plan import PlannedRun
 
 FORMAT = 1
 EXPERIMENT, PROGRESS, DEMOS = "experiment.json", "progress.json", "demos"

@@ -8,6 +8,11 @@ from statistics import mean
 from typing import Any
 
 from magical.errors import ResultsError, RunFolderError
+from magical.files import LOCK, is_locked
+from magical.grouping import group_by
+from magical.runs.metrics import read_metrics
+from magical.runs.plan import MAX_BYTES, RUNS, ListedRun, read_listing
+from magical.untrusted import read_json
 from magical_baselines.experiments.results import (
     DONE,
     EXPERIMENT,
@@ -19,11 +24,6 @@ from magical_baselines.experiments.results import (
     read_result,
     run_folders,
 )
-from magical.files import LOCK, is_locked
-from magical.grouping import group_by
-from magical.runs.metrics import read_metrics
-from magical.runs.plan import MAX_BYTES, RUNS, ListedRun, read_listing
-from magical.untrusted import read_json
 
 RUNNING = "running"
 STATES = (DONE, FAILED, RUNNING, WAITING)

@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 
 from magical.errors import InvalidConfigError
-from magical_baselines.config import Config
-from magical_baselines.settings import NOT_NEGATIVE, POSITIVE, Settings, option
 from magical.runs.sources import INTERACTION
 from magical.tasks import Horizon
+from magical_baselines.config import Config
+from magical_baselines.settings import NOT_NEGATIVE, POSITIVE, Settings, option
 
 
 @dataclass(frozen=True, kw_only=True)

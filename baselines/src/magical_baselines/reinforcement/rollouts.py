@@ -13,14 +13,14 @@ from magical.envs import EnvId
 from magical.envs.episode import Reward
 from magical.envs.seeds import sample_training_seeds
 from magical.envs.vector import MagicalVectorEnv
+from magical.observe import ObservationSpec
+from magical.scene import NUM_ACTIONS
+from magical.tasks import get_task
 from magical_baselines.augmentation.augment import to_unit
 from magical_baselines.models import sample_actions
 from magical_baselines.reinforcement.interaction import InteractionConfig
 from magical_baselines.running.checkpoints import StateDict
 from magical_baselines.running.streams import Purpose, stream
-from magical.observe import ObservationSpec
-from magical.scene import NUM_ACTIONS
-from magical.tasks import get_task
 
 Forward = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]  # -> logits (B, 18), values (B,)
 EpisodeScores = tuple[tuple[int, float], ...]  # task and score of each episode that ended

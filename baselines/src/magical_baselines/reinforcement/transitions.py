@@ -17,10 +17,10 @@ from torch import Tensor
 from magical.demos import Trajectory
 from magical.demos.store.reader import TrajectorySource
 from magical.errors import DemonstrationsError
-from magical_baselines.reinforcement.replay_buffer import pack, unpack
-from magical_baselines.running.checkpoints import StateDict
 from magical.observe import ObservationSpec
 from magical.observe.arrays import stack_indices
+from magical_baselines.reinforcement.replay_buffer import pack, unpack
+from magical_baselines.running.checkpoints import StateDict
 
 Numbers = NDArray[np.int64]
 

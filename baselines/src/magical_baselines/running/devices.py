@@ -13,10 +13,10 @@ from msgspec import Meta
 from torch import Tensor
 
 from magical.errors import DeviceError, RunFolderError
-from magical_baselines.settings import DEVICES, MAX_THREADS
 from magical.messages import quoted
 from magical.runs.folder import RECORD
 from magical.untrusted import convert
+from magical_baselines.settings import DEVICES, MAX_THREADS
 
 Device = Literal["cpu", "cuda"]
 Precision = Literal["float32", "bfloat16"]

@@ -13,6 +13,9 @@ from typing import Any, Self
 import torch
 
 from magical.errors import DivergedError, InvalidConfigError, RunFolderError
+from magical.messages import quoted
+from magical.runs.folder import CHECKPOINT, RECORD, read_json, write_json
+from magical.runs.metrics import MetricsWriter
 from magical_baselines.config import CHECKPOINT_SECONDS, Config
 from magical_baselines.running.checkpoints import (
     StateDict,
@@ -23,9 +26,6 @@ from magical_baselines.running.checkpoints import (
 from magical_baselines.running.devices import Compute, Device, choose_compute, read_compute
 from magical_baselines.running.interrupts import Interrupts
 from magical_baselines.running.streams import Purpose, seed_torch
-from magical.messages import quoted
-from magical.runs.folder import CHECKPOINT, RECORD, read_json, write_json
-from magical.runs.metrics import MetricsWriter
 
 Metrics = Mapping[str, float | str]
 Callback = Callable[[int, Metrics], object]  # step, metrics

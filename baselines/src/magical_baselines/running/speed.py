@@ -5,10 +5,10 @@ from collections.abc import Callable, Sequence
 
 import torch
 
+from magical.tasks import TASKS
 from magical_baselines.algorithms.bc import BCConfig, bc_loss, make_policy
 from magical_baselines.models import PolicyNetwork
 from magical_baselines.running.devices import Compute, choose_device, full_float32, restored_threads
-from magical.tasks import TASKS
 
 WARM_UP = 2  # batches before the first that is timed
 

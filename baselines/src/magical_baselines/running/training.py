@@ -9,6 +9,9 @@ from typing import Any
 import torch
 
 from magical.errors import InvalidConfigError
+from magical.progress import ProgressBar
+from magical.runs.folder import opened_folder
+from magical.runs.metrics import read_metrics
 from magical_baselines.algorithms import find_algorithm
 from magical_baselines.config import Config
 from magical_baselines.policy import TrainedPolicy, load_policy
@@ -24,9 +27,6 @@ from magical_baselines.running.interrupts import Interrupts
 from magical_baselines.running.run import Callback, Run
 from magical_baselines.running.streams import restored_generators
 from magical_baselines.trackers import opened_trackers
-from magical.progress import ProgressBar
-from magical.runs.folder import opened_folder
-from magical.runs.metrics import read_metrics
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,12 +11,12 @@ from torch import Tensor
 
 from magical.errors import InvalidConfigError
 from magical.evaluation.policy import Actions, Mask
+from magical.scene.actions import NUM_ACTIONS, PARTS
 from magical_baselines.data.expert_data import ExpertData
 from magical_baselines.policy import TrainedPolicy, choose_actions
 from magical_baselines.running.streams import Purpose, stream
 from magical_baselines.sequences.fitting import SequenceConfig
 from magical_baselines.settings import POSITIVE, Settings, option
-from magical.scene.actions import NUM_ACTIONS, PARTS
 
 Floats = NDArray[np.float64]
 # How many numbers a network returns per action: logits, or the action itself.

@@ -11,6 +11,12 @@ import math
 import numpy as np
 
 from magical.experts.geometry import CONTACT_DISTANCE
+from magical.scene import Poses, Scene
+from magical.scene.geometry import Point, to_workspace
+from magical.scene.poses import FIRST_BLOCK, ROBOT
+from magical.tasks import get_task
+from magical.tasks.programs import Goal, problem
+from magical.tasks.programs.states import Floats, States
 from magical_goals.intent.demonstrator import MOVE_COST
 from magical_goals.intent.meanings import Chosen, replace_selections
 from magical_goals.intent.posterior import Belief
@@ -18,12 +24,6 @@ from magical_goals.objects.hindsight import ROBOT_TARGET
 from magical_goals.objects.table import GRIP
 from magical_goals.planning.remaining import APART, BLOCK_ROOM
 from magical_goals.planning.routes import MOVED, Routes
-from magical.scene import Poses, Scene
-from magical.scene.geometry import Point, to_workspace
-from magical.scene.poses import FIRST_BLOCK, ROBOT
-from magical.tasks import get_task
-from magical.tasks.programs import Goal, problem
-from magical.tasks.programs.states import Floats, States
 
 GOALS = 8  # the most probable ones, which are acted on
 PRESSING = 0.8  # share of the highest probability: things less likely to have to move come later

@@ -7,13 +7,13 @@ from typing import Any
 
 from magical.errors import UnknownNameError
 from magical.files.atomic import write_atomically
+from magical.render import render_frame
+from magical.scene import Poses
+from magical.tasks import get_task
 from magical_goals.intent.acting import BORDER, CELLS, Intention
 from magical_goals.intent.posterior import Belief
 from magical_goals.objects.components import VIEW_HALF
 from magical_goals.objects.hindsight import ROBOT_TARGET
-from magical.render import render_frame
-from magical.scene import Poses
-from magical.tasks import get_task
 
 COLUMNS = 4
 SIZE, HEADING = 3.0, 0.5  # inches: the side of a scene, the height of its heading

@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from magical_goals.intent.demonstrator import Episode
-from magical_goals.objects.data import ParsedDemonstration
-from magical_goals.objects.parser import ABSENT, ParsedFrames
 from magical.scene import COLOURS, SHAPES, Block, Poses, Region, Scene
 from magical.scene.poses import FIRST_BLOCK, ROBOT
 from magical.scene.scene import Pose
+from magical_goals.intent.demonstrator import Episode
+from magical_goals.objects.data import ParsedDemonstration
+from magical_goals.objects.parser import ABSENT, ParsedFrames
 
 
 def parsed_scene(parsed: ParsedFrames, frame: int) -> Scene:

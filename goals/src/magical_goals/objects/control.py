@@ -9,9 +9,9 @@ and the network would learn what was done there.
 import torch
 from torch import Tensor, nn
 
+from magical.scene import NUM_ACTIONS
 from magical_goals.objects.hindsight import ROBOT_TARGET
 from magical_goals.objects.table import GRIP, ObjectTable
-from magical.scene import NUM_ACTIONS
 
 FOCUS = 0.15  # units: the length scale of nearness
 HELD = 2  # number of blocks nearest to the fingers that have separate inputs

@@ -11,13 +11,13 @@ from torch import Tensor
 from magical.demos.store.reader import TrajectorySource
 from magical.demos.store.trajectory import Trajectory
 from magical.errors import DemonstrationsError
+from magical.observe import PRESETS
 from magical_baselines.data.expert_data import Rows, TaskTrajectories
 from magical_goals.objects.goals import relate_blocks
 from magical_goals.objects.hindsight import ROBOT_TARGET, find_carries, find_goals, track
 from magical_goals.objects.parser import ParsedFrames
 from magical_goals.objects.perception import Perception
 from magical_goals.objects.table import to_table, to_tensor
-from magical.observe import PRESETS
 
 OBSERVATION = "LoRes4A"  # the allocentric camera sees every object
 CHUNK = 256  # frames or samples that are processed at a time

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from magical.compiled.jit import inlined, merged, nogil_entry_point
+from magical.scene.constants import FINGER_ROOT_X, FINGER_ROOT_Y, FRAME_SIZE, ROBOT_RADIUS, SIDES
 from magical_goals.objects.components import (
     AREA,
     BLOCK,
@@ -44,7 +45,6 @@ from magical_goals.objects.components import (
     pixel_x,
     pixel_y,
 )
-from magical.scene.constants import FINGER_ROOT_X, FINGER_ROOT_Y, FRAME_SIZE, ROBOT_RADIUS, SIDES
 
 MAX_BLOCKS = 10  # the most in any of the benchmark's tasks
 FAR = 9.0  # units: the coordinates of absent blocks

@@ -6,10 +6,10 @@ from typing import Protocol
 import numpy as np
 
 from magical.errors import PluginError
-from magical_goals.objects.components import Pixels
-from magical_goals.objects.parser import ABSENT, ParsedFrames, parse_frames
 from magical.plugins import load_plugin
 from magical.scene.constants import FRAME_SIZE
+from magical_goals.objects.components import Pixels
+from magical_goals.objects.parser import ABSENT, ParsedFrames, parse_frames
 
 PARSER = "parser"
 PERCEPTIONS = "magical.perceptions"  # the entry-point group

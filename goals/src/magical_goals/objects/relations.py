@@ -14,9 +14,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from magical.scene.vocabulary import COLOURS, SHAPES
 from magical_goals.objects.hindsight import ROBOT_TARGET
 from magical_goals.objects.table import ObjectTable
-from magical.scene.vocabulary import COLOURS, SHAPES
 
 UNKNOWN = 9.0  # the value of a relation to something that does not exist
 NO_KIND = -5  # the colour and shape of the robot: equal to no block's

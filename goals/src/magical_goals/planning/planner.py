@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical.experts.geometry import ROBOT_LIMIT, excess
+from magical.scene import NOOP
+from magical.scene.actions import ACTIONS, Action, Gripper, to_continuous
 from magical_goals.objects.hindsight import ROBOT_TARGET
 from magical_goals.planning.kernels import compiled_roll_out
 from magical_goals.planning.motion import Floats, Motion, from_robot, robot_steps, to_robot
@@ -25,8 +27,6 @@ from magical_goals.planning.remaining import (
     steps_to_place,
 )
 from magical_goals.planning.routes import Search
-from magical.scene import NOOP
-from magical.scene.actions import ACTIONS, Action, Gripper, to_continuous
 
 FIRST, SECOND = (1, 2, 3, 5), (1, 2, 4, 7)  # control steps of a plan's actions
 HORIZON = 13  # control steps that are rolled out; the last one lets a gliding robot come to rest

@@ -7,10 +7,10 @@ Motions are assumed to be turns on the spot and straight drives at top speed, fo
 import numpy as np
 
 from magical.experts.geometry import CONTACT_DISTANCE, ROBOT_LIMIT, excess, wrap_angle
+from magical.scene.constants import BLOCK_SIZE
 from magical_goals.planning.kernels import compiled_overlaps
 from magical_goals.planning.motion import Floats, Motion
 from magical_goals.planning.routes import Search
-from magical.scene.constants import BLOCK_SIZE
 
 BLOCK_LIMIT = 0.88  # units: largest coordinate of a carried block's centre
 APART = 2 * BLOCK_SIZE  # units between the centres of blocks

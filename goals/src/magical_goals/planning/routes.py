@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from magical_goals.planning.kernels import compiled_routes
 from magical.scene.constants import WORKSPACE_HALF
+from magical_goals.planning.kernels import compiled_routes
 
 SIDE = 29  # grid points across the workspace
 MOVED = 0.005  # units: routes are kept until something moves farther
