@@ -55,7 +55,7 @@ def test_wheel_holds_every_file_of_the_package(wheel: Path, root: Path) -> None:
     assert "magical/py.typed" in expected
     assert expected <= names
     assert {name.split("/")[0].split("-")[0] for name in names} == {"magical", "magical_benchmark"}
-    for needed in ("plans/quick.toml", "evaluation/data/published-scores.csv"):
+    for needed in ("evaluation/data/published-scores.csv",):
         assert any(name.startswith(f"magical/{needed}") for name in names), needed
     assert not [name for name in names if "studies" in name or "scores.csv.gz" in name]
 
@@ -66,6 +66,7 @@ def test_the_source_distribution_has_what_its_tests_need(distributions: Path, ro
         names = {name.partition("/")[2] for name in archive.getnames()}
     tops = {name.split("/")[0] for name in names}
     files = {*("CHANGELOG.md", "CITATION.cff", "CONTRIBUTING.md", "LICENSE", "Makefile", "NOTICE")}
+    files |= {"conftest.py"}
     files |= {*("PKG-INFO", "README.md", "constraints.txt", "mkdocs.yml", "noxfile.py")}
     folders = {"benchmarks", "docs", "entries", "examples", "src", "tests", "tools"}
     assert tops - {".gitignore"} == {*files, *folders, "pyproject.toml"}

@@ -6,7 +6,7 @@ Each run's policy is rolled out on its task's Demo scene as it is; then `--shift
 shift of the initial poses that all rollouts share; then with a shift of its own for each rollout
 (`magical evaluate --nudge`). The same on Jitter, where every rollout has a scene of its own, with
 and without shifts. Results are kept in FOLDER/nudge.csv and not computed again; only one process
-may use the folder at a time. Needs the extras learning and report.
+may use the folder at a time. Needs magical-baselines.
 """
 
 import argparse

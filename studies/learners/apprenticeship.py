@@ -6,7 +6,7 @@
 Imitates MoveToRegion-Demo with rewards w^T phi from images, as `magical train al` does, but by a
 small policy on the robot's pose, whose updates cost a tenth. phi is the run's autoencoder, or
 (`--features components`) the first principal components of the expert's images. The run may be one
-that was stopped after its pretraining. Needs the extra learning.
+that was stopped after its pretraining. Needs magical-baselines.
 """
 
 import argparse

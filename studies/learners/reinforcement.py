@@ -4,7 +4,7 @@
     python studies/learners/reinforcement.py bc|gail|wgail-gp|al --demos DEMOS --out RUNS
     python studies/learners/reinforcement.py iteration --demos DEMOS --out RUNS
 
-Needs the extras learning, report and, for `ppo`, Stable-Baselines3. Runs that are in RUNS already
+Needs magical-baselines and, for `ppo`, Stable-Baselines3. Runs that are in RUNS already
 are resumed or only evaluated.
 """
 
