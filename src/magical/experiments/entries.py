@@ -11,9 +11,8 @@ from magical.evaluation import BUILT_IN, Entry, Policy, load_policy, policy_name
 from magical.evaluation.entry import DATE, POLICY, THREADS
 from magical.messages import quoted
 from magical.runs import is_run
-from magical.runs.folder import RECORD, read_json
 from magical.runs.machine import provenance
-from magical.runs.sources import LEARNED_FROM, RENDERED_STATES
+from magical.runs.sources import LEARNED_FROM
 
 MAX_THREADS = 1024  # the most that an entry can ask for
 
@@ -31,12 +30,9 @@ def evaluation_details(policy: str, out: Path) -> dict[str, Any]:
     if policy in policy_names() or not Path(policy).is_dir():
         return {POLICY: policy, **made}
     from magical.learning import read_config
-    from magical.learning.data.rendered_data import RESAMPLING
     from magical.learning.running.devices import num_threads
 
     details = {**read_config(Path(policy)).training_details, THREADS: num_threads()}
-    if read_json(Path(policy) / RECORD).get("augment_by") == RESAMPLING:  # no state was rendered
-        details[LEARNED_FROM] = [each for each in details[LEARNED_FROM] if each != RENDERED_STATES]
     relative = os.path.relpath(Path(policy).resolve(), out.resolve())  # `..` of a link is elsewhere
     return {POLICY: relative, **details, **made}
 

@@ -13,7 +13,6 @@ from magical.learning.augmentation.names import Augmentations, augment_option, p
 from magical.learning.config import Config, DemonstrationSettings, EncoderSettings
 from magical.learning.data.expert_data import ExpertData, load_demonstrations
 from magical.learning.data.prefetch import prefetch
-from magical.learning.data.rendered_data import AUTO, choose_image_data
 from magical.learning.running.averages import Averages
 from magical.learning.running.checkpoints import restoring
 from magical.learning.running.devices import choose_device
@@ -68,8 +67,7 @@ class SequenceConfig(Config):
 
 def _load_data(config: SequenceConfig, run: Run, device: str) -> ExpertData:
     demonstrations = load_demonstrations(config, run)
-    kind = choose_image_data(demonstrations, run, config.observation_spec, AUTO)
-    return kind(
+    return ExpertData(
         demonstrations, config.tasks, config.observation_spec, device=device, remove_noops=True
     )
 
