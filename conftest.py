@@ -18,7 +18,11 @@ SHARED = ROOT.parent / "shared"
 collect_ignore = (
     []
     if (ROOT / "studies").is_dir()
-    else ["tests/studies", "tests/test_docs.py", "tests/demos/human/recovery/test_fidelity_script.py"]
+    else [
+        "tests/studies",
+        "tests/test_docs.py",
+        "tests/demos/human/recovery/test_fidelity_script.py",
+    ]
 )
 # Human demonstrations, which cannot be part of the repository: the folder of each fixture below.
 # Tests that ask for a fixture are skipped where its folder is missing.

@@ -5,10 +5,7 @@ r"""Measures behavioural cloning end to end: making batches and learning from th
     ATEN_CPU_CAPABILITY=avx2 ONEDNN_MAX_CPU_ISA=AVX2 \
         python benchmarks/learning.py --precision float32
 
-The two ways take turns in one run: frames resampled by compiled code, and frames rendered from a
-moved camera.
-
-For each, it prints the CPU time of making a batch and of learning from it, on one thread; the
+It prints the CPU time of making a batch and of learning from it, on one thread; the
 fraction spent on making it; and samples per second with batches prefetched by a thread, as in
 `magical train bc`, and PyTorch's default number of threads.
 """
@@ -35,14 +32,12 @@ DEMOS = 25
 BATCHES = 30  # per round
 WARM_UP = 5  # batches
 RATE = 1e-3
-WAYS = ("resampling", "rendering")
 
 
 class Setup:
-    """One way of cloning, and its measurements."""
+    """Cloning, and its measurements."""
 
-    def __init__(self, way: str, folder: Path, precision: str, batch_size: int) -> None:
-        self.way = way
+    def __init__(self, folder: Path, precision: str, batch_size: int) -> None:
         self.config = BCConfig.preset(
             "quick",
             tasks=(TASK,),
@@ -51,10 +46,9 @@ class Setup:
             batch_size=batch_size,
             precision=precision,
             device="cpu",
-            augment_by=way,
         )
-        (folder / way).mkdir()
-        self.trainer = BCTrainer(self.config, Run(folder / way, self.config))
+        (folder / "run").mkdir()
+        self.trainer = BCTrainer(self.config, Run(folder / "run", self.config))
         self.trainer.network.train()
         demos = self.config.demonstrations.demos
         trajectories = sample_demonstrations(demos, (TASK,), DEMOS, 0).trajectories
@@ -99,7 +93,6 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     add = parser.add_argument
-    add("--way", nargs="+", choices=WAYS, default=WAYS)
     add("--precision", default="auto", help="auto, float32 or bfloat16")
     add("--rounds", type=int, default=5)
     add("--batch-size", type=int, default=32)
@@ -111,18 +104,14 @@ def main() -> None:
         folder = Path(name)
         generate(EnvId(TASK, "Demo"), DEMOS, folder / "demos", seed=0, min_score=1.0)
         size = arguments.batch_size
-        setups = [Setup(way, folder, arguments.precision, size) for way in arguments.way]
+        setup = Setup(folder, arguments.precision, size)
         for _ in range(arguments.rounds):
-            for setup in setups:
-                setup.measure(threads)
-    first = median(setups[0].whole)
-    print("| way | making, ms | learning, ms | share | samples/s | ratio |")
-    for setup in setups:
-        making, learning, whole = map(median, (setup.making, setup.learning, setup.whole))
-        print(
-            f"| {setup.way} | {1e3 * making:.1f} | {1e3 * learning:.1f} "
-            f"| {making / (making + learning):.0%} | {size / whole:.0f} | {first / whole:.2f} |"
-        )
+            setup.measure(threads)
+    making, learning, whole = map(median, (setup.making, setup.learning, setup.whole))
+    print(
+        f"making {1e3 * making:.1f} ms, learning {1e3 * learning:.1f} ms, "
+        f"share {making / (making + learning):.0%}, {size / whole:.0f} samples/s"
+    )
 
 
 if __name__ == "__main__":

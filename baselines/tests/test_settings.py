@@ -23,7 +23,7 @@ TASKS = ("MoveToRegion",)
         ({"learning_rate": "1e-3"}, "learning_rate: expected float, found '1e-3'"),
         ({"learning_rate": float("inf")}, "learning_rate: expected finite numbers, found inf"),
         ({"augment": None}, "augment: expected str, found None"),
-        ({"average_decay": 1.0}, "average_decay: expected a number from 0 to below 1, found 1.0"),
+        ({"momentum": 1.0}, "momentum: expected a number from 0 to below 1, found 1.0"),
     ],
 )
 def test_settings_of_another_type_or_range_are_refused(

@@ -2,7 +2,8 @@
 
 from importlib.util import find_spec
 
-from baselines.tests.experiments.conftest import finished, inline, planned, tiny
+from baselines.baselines.tests.experiments.conftest import finished, inline, planned, tiny
+
 from tests.report.conftest import write_entry
 
 __all__ = ["finished", "inline", "planned", "tiny", "write_entry"]

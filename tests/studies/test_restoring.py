@@ -4,8 +4,8 @@ import shutil
 from pathlib import Path
 
 import pytest
+from baselines.baselines.tests.experiments.conftest import Planned, Started
 
-from baselines.tests.experiments.conftest import Planned, Started
 from magical_baselines.experiments.execution import execute
 from magical_baselines.experiments.results import planned_states
 from magical_baselines.experiments.status import read_status

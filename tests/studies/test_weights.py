@@ -6,8 +6,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from baselines.baselines.tests.experiments.conftest import Planned
 
-from baselines.tests.experiments.conftest import Planned
 from magical.cli import main as magical
 from magical.evaluation import read_entry
 from studies import collect as collect_results

@@ -26,11 +26,9 @@ from magical.tasks import get_task
 from magical_baselines import NetworkPolicy, load_policy, train
 from magical_baselines.algorithms.bc import (
     BCConfig,
-    BCTrainer,
     bc_loss,
 )
 from magical_baselines.running import run
-from magical_baselines.running.run import Run
 
 
 def tiny(demos: Path, **fields: Any) -> BCConfig:
@@ -83,19 +81,6 @@ def test_loss_is_the_mean_negative_log_likelihood() -> None:
     first = torch.log(17 + torch.tensor(2.0).exp()) - 2.0
     expected = 0.5 * (first + torch.tensor(18.0).log())
     assert torch.allclose(bc_loss(logits, torch.tensor([3, 0])), expected)
-
-
-def test_mirrored_samples_have_mirrored_labels(tmp_path: Path) -> None:
-    task, left, right = "MoveToRegion", 3, 6
-    config = tiny(tmp_path, tasks=(task,), augment="none", transform="mirror", batch_size=16)
-    with Run(tmp_path, config) as folder:
-        trainer = BCTrainer(config, folder)
-        data = trainer.expert_data(((task, picture_demo(task, 0, [left] * 6)),))
-        images, labels, _ = trainer.sample_batch(data, 0)
-    corners = (images * 255).round() == left * 14  # dark in the upper left half, unless mirrored
-    is_left = corners[:, :, :48, :48].flatten(1).all(dim=1)
-    assert labels.tolist() == torch.where(is_left, left, right).tolist()
-    assert set(labels.tolist()) == {left, right}
 
 
 def test_the_learning_rate_is_constant_or_annealed_to_0(demos: Path) -> None:
@@ -302,22 +287,8 @@ def test_state_vectors_are_learned_from(tmp_path: Path) -> None:
     [
         ({"augment": "noise"}, "augment: expected none"),
         ({"augment": "none", "tasks": TASKS}, "one task is expected"),
-        ({"augment": "none", "augment_by": "rendering"}, "state vectors are not rendered"),
     ],
 )
 def test_state_vectors_need_other_settings(fields: dict[str, Any], message: str) -> None:
     with pytest.raises(InvalidConfigError, match=message):
         tiny(Path("demos"), observation="state", **fields)
-
-
-def test_rendered_states_are_recorded_only_if_states_were_rendered(
-    demos: Path, expert_demos: Path, tmp_path: Path
-) -> None:
-    given = {"transform": "palette", "num_demos": 2}
-    for name, config, expected in (
-        ("frames", tiny(demos, **given), ["demonstrations"]),
-        ("poses", tiny(expert_demos, tasks=("FixColour",), **given),
-         ["demonstrations", "rendered states"]),
-    ):  # fmt: skip
-        train(config, tmp_path / name)
-        assert load_policy(tmp_path / name).record["learned_from"] == expected

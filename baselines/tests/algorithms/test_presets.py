@@ -34,9 +34,6 @@ CLONING: dict[str, Any] = {
     "anneal": False,
     "augment": "noise",
     "tasks": ("MoveToCorner",),
-    "transform": "frames",
-    "augment_scale": 2.0,
-    "average_decay": 0.9,
 }
 CHANGES: dict[str, dict[str, Any]] = {
     "bc": CLONING,

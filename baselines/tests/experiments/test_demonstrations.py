@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from baselines.baselines.tests.experiments.conftest import Planned, Started
 
-from baselines.tests.experiments.conftest import Planned, Started
 from magical.demos import Dataset, DatasetWriter
 from magical.demos.generate import generate
 from magical.envs.seeds import episode_seed

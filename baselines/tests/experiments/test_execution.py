@@ -11,11 +11,11 @@ from typing import Any
 
 import pytest
 import torch
+from baselines.baselines.tests.experiments.conftest import Planned, Started
+from baselines.baselines.tests.experiments.processes import scores_of
 from torch import nn
 
 import magical
-from baselines.tests.experiments.conftest import Planned, Started
-from baselines.tests.experiments.processes import scores_of
 from magical.cli import main
 from magical.errors import DatasetError, PlacementError, ResultsError
 from magical.evaluation import Evaluation, environments, read_entry

@@ -7,9 +7,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from baselines.baselines.tests.experiments import processes
+from baselines.baselines.tests.experiments.processes import (
+    TIMEOUT,
+    lines,
+    reached,
+    running,
+    scores_of,
+)
 
-from baselines.tests.experiments import processes
-from baselines.tests.experiments.processes import TIMEOUT, lines, reached, running, scores_of
 from magical.errors import WorkerDiedError
 from magical_baselines.experiments import demonstrations
 from magical_baselines.experiments.execution import Resources, execute

@@ -9,10 +9,10 @@ import pytest
 
 pytest.importorskip("ray", reason="the extra ray is not installed")
 
+from baselines.baselines.tests.experiments.conftest import Planned
+from baselines.baselines.tests.experiments.processes import TIMEOUT, reached, running, scores_of
 from ray.cluster_utils import Cluster
 
-from baselines.tests.experiments.conftest import Planned
-from baselines.tests.experiments.processes import TIMEOUT, reached, running, scores_of
 from magical.cli import main
 from magical_baselines.experiments.execution import Resources, execute
 from magical_baselines.experiments.ray_cluster import RayExecutor, pack, unpack

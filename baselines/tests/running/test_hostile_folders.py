@@ -36,7 +36,6 @@ def config(demos: Path) -> BCConfig:
     sizes: dict[str, Any] = {
         "num_demos": 1,
         "batches": 2,
-        "average_decay": 0.5,
         "checkpoint_every": 1,
     }
     return tiny(BCConfig, demos=str(demos), **sizes)

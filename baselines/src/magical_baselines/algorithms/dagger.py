@@ -41,7 +41,6 @@ from magical_baselines.algorithms import Algorithm
 from magical_baselines.algorithms.bc import BCConfig, BCTrainer, CloningSettings, make_policy
 from magical_baselines.config import IMAGE_OBSERVATIONS
 from magical_baselines.data.expert_data import TaskTrajectories, load_demonstrations
-from magical_baselines.data.rendered_data import choose_image_data
 from magical_baselines.policy import NetworkPolicy
 from magical_baselines.running.checkpoints import restoring
 from magical_baselines.running.run import Run
@@ -122,10 +121,6 @@ def train(config: DAggerConfig, run: Run) -> None:
     """Alternate between collecting labelled episodes and behavioural cloning."""
     demonstrations = load_demonstrations(config, run)
     trainer = BCTrainer(config, run)
-    cloning = config.cloning  # checked before the folder has episodes
-    choose_image_data(
-        demonstrations, run, config.observation_spec, cloning.augment_by, cloning.transformations
-    )
     aggregated = AggregatedDataset(config, run)
     if run.step == config.num_updates:
         return
@@ -141,7 +136,7 @@ def train(config: DAggerConfig, run: Run) -> None:
         for number in range(run.step // config.cloning.batches, config.rounds):
             if aggregated.rounds < number:
                 rng = stream(config.seed, Purpose.ENVIRONMENTS, number)
-                policy = NetworkPolicy(trainer.policy, config, trainer.compute)
+                policy = NetworkPolicy(trainer.network, config, trainer.compute)
                 beta = config.beta(number)
                 labelled = collect_labelled(envs, policy, beta, rng, round=number)
                 aggregated.add_round(labelled)

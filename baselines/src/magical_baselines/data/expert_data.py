@@ -1,8 +1,7 @@
 """Demonstrations as training data: choosing them, and sampling frame stacks and actions.
 
 Each frame is stored once, as uint8 with channels first, and stacks are assembled when sampled. Ten
-demonstrations of a hundred steps take 28 MB this way, and 110 MB as stacks. If poses are known,
-frames can instead be rendered when sampled (`magical_baselines.data.rendered_data`).
+demonstrations of a hundred steps take 28 MB this way, and 110 MB as stacks.
 """
 
 from collections.abc import Iterable, Sequence
@@ -23,8 +22,6 @@ from magical.observe.arrays import stack_indices
 from magical.scene import NOOP
 from magical_baselines.augmentation.augment import augment
 from magical_baselines.augmentation.names import Augmentations
-from magical_baselines.augmentation.palette import permute_palette
-from magical_baselines.augmentation.transformations import StackTransformations
 from magical_baselines.config import Config, DemonstrationSettings
 from magical_baselines.running.run import Run
 from magical_baselines.running.streams import Purpose, stream
@@ -177,20 +174,15 @@ class ExpertData:
         """The number of samples."""
         return len(self.actions)
 
-    def images(self, rows: Rows, newest_only: NDArray[np.bool_] | None = None) -> Tensor:
+    def images(self, rows: Rows) -> Tensor:
         """Frame stacks (B, C, H, W) uint8 of samples, in the observation's channel order.
 
-        State vectors are (B, size) float32. Where `newest_only` (B,) is true, the newest frame
-        replaces all earlier ones.
+        State vectors are (B, size) float32.
         """
         index = self._index(rows)
         stacks = []
         for frames, indices in zip(self._frames, self._stacks, strict=True):
-            chosen = indices[index]  # (B, K)
-            if newest_only is not None:
-                held = self._index(newest_only)[:, None]
-                chosen = torch.where(held, chosen[:, -1:], chosen)
-            found = frames.index_select(0, chosen.flatten())
+            found = frames.index_select(0, indices[index].flatten())
             stacks.append(found.view(len(rows), -1, *frames.shape[2:]))
         return stacks[0] if len(stacks) == 1 else torch.cat(stacks, dim=1)
 
@@ -204,20 +196,13 @@ class ExpertData:
         rows: Rows,
         which: Augmentations,
         rng: np.random.Generator,
-        transformed: StackTransformations | None = None,
         together: int = 1,
     ) -> Tensor:
-        """Frame stacks of samples, transformed and augmented: (B, C, H, W) float32 in [0, 1].
+        """Frame stacks of samples, augmented: (B, C, H, W) float32 in [0, 1].
 
         Every `together` consecutive ones share augmentation parameters.
         """
-        transformed = transformed or StackTransformations.none(len(rows))
-        images = self.images(rows, transformed.newest_only)
-        mirrored = self._index(transformed.mirrored)
-        images[mirrored] = images[mirrored].flip(-1)
-        if transformed.palettes.any():
-            images = permute_palette(images, transformed.palettes)
-        return augment(images, which, rng, together)
+        return augment(self.images(rows), which, rng, together)
 
     def neighbours(self, rows: Rows, offsets: Rows) -> tuple[Rows, NDArray[np.bool_]]:
         """Samples at offsets (K,) from the given ones, and whether each exists: both (B, K).

@@ -13,7 +13,6 @@ from magical_baselines.augmentation.names import Augmentations, augment_option, 
 from magical_baselines.config import Config, DemonstrationSettings, EncoderSettings
 from magical_baselines.data.expert_data import ExpertData, load_demonstrations
 from magical_baselines.data.prefetch import prefetch
-from magical_baselines.data.rendered_data import AUTO, choose_image_data
 from magical_baselines.running.averages import Averages
 from magical_baselines.running.checkpoints import restoring
 from magical_baselines.running.devices import choose_device
@@ -68,8 +67,7 @@ class SequenceConfig(Config):
 
 def _load_data(config: SequenceConfig, run: Run, device: str) -> ExpertData:
     demonstrations = load_demonstrations(config, run)
-    kind = choose_image_data(demonstrations, run, config.observation_spec, AUTO)
-    return kind(
+    return ExpertData(
         demonstrations, config.tasks, config.observation_spec, device=device, remove_noops=True
     )
 
