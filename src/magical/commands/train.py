@@ -87,10 +87,10 @@ def run(args: argparse.Namespace) -> int:
 
 def _imports(config: "Config") -> str:
     """`--import` for each module that the configuration names, which new processes need."""
-    from magical.envs.vector.workers import defining_modules
     from magical.errors import InvalidTaskError
     from magical.learning.algorithms import modules_of
     from magical.tasks import get_task
+    from magical.tasks.registry import defining_modules
 
     modules = dict.fromkeys(modules_of(config))
     with suppress(InvalidTaskError):  # no module can be named, but the run has been trained
