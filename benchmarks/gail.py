@@ -64,7 +64,7 @@ def measure(args: argparse.Namespace) -> float:
         network=args.network,
         precision=args.precision,
         threads=1,
-        workers=0,
+        workers=1,
         evaluate_every=0,
     )
     with tempfile.TemporaryDirectory() as folder:

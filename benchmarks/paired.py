@@ -42,15 +42,19 @@ def load(source: Path, task_name: str) -> dict[str, Callable[[int], Any]]:
     for name in [name for name in sys.modules if name.partition(".")[0] == "magical"]:
         del sys.modules[name]
     sys.path.insert(0, str(source))
-    envs, physics, tasks = (
-        import_module(f"magical.{room}") for room in ("envs.env", "physics", "tasks")
+    envs, physics, tasks, actions = (
+        import_module(f"magical.{room}")
+        for room in ("envs.env", "physics", "tasks", "scene.actions")
     )
     sys.path.pop(0)
 
+    class Simulation(physics.Simulation):  # type: ignore[misc, name-defined]
+        def step(self, action: int) -> Any:
+            super().step(actions.POINTS[action])
+            return [self.read()]
+
     def simulate(seed: int) -> Any:
-        return physics.Simulation(
-            *tasks.TASKS[task_name].sample("Demo", np.random.default_rng(seed))
-        )
+        return Simulation(*tasks.TASKS[task_name].sample("Demo", np.random.default_rng(seed)))
 
     def observe(observation: str) -> Callable[[int], Any]:
         env = envs.MagicalEnv(task_name, "Demo", observation=observation)

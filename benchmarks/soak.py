@@ -82,7 +82,7 @@ def soak(steps: int, workers: int | None, observation: str) -> tuple[Usage, Usag
     envs = MagicalVectorEnv(
         [ids[i % len(ids)] for i in range(NUM_ENVS)], workers=workers, observation=observation
     )
-    processes = [os.getpid(), *envs.worker_process_ids]
+    processes = [os.getpid()]
     rng = np.random.default_rng(0)
     envs.reset(seed=0)
     began, done, settled = time.perf_counter(), 0, None

@@ -13,9 +13,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 import numpy as np
+from magical.envs.vector.sub_envs import SubEnvs
 
 from magical.envs.vector import MagicalVectorEnv
-from magical.envs.vector.sub_envs import SubEnvs
 from magical.scene.actions import NUM_ACTIONS
 
 ROUNDS = 100
@@ -46,7 +46,7 @@ def main() -> None:
     parser.add_argument("--env", default="magical/ClusterColour-Demo-LoRes4E-v0")
     parser.add_argument("--num-envs", type=int, default=32)
     arguments = parser.parse_args()
-    envs = MagicalVectorEnv([arguments.env] * arguments.num_envs, workers=0)
+    envs = MagicalVectorEnv([arguments.env] * arguments.num_envs, workers=1)
     rng = np.random.default_rng(0)
 
     def sample() -> np.ndarray:

@@ -1,8 +1,8 @@
-"""Compares a vector environment with two workers with two independent processes, in turns.
+"""Compares a vector environment of two threads with two independent processes, in turns.
 
 python benchmarks/workers.py [--observation NAME] [--num-envs N] [--turns N]
 
-Each independent process steps half of the sub-environments, without workers; both step at the same
+Each independent process steps half of the sub-environments in one thread; both step at the same
 time. Absolute rates vary with other load on the machine, ratios of neighbouring turns less so.
 """
 
@@ -49,7 +49,7 @@ def main(requests: IO[bytes], replies: IO[bytes]) -> None:
 
     def answer(request: tuple[str, int] | None) -> float:
         if request is not None:
-            steppers.append(Stepper(*request, workers=0))
+            steppers.append(Stepper(*request, workers=1))
             return 0.0
         return steppers[0].step()
 

@@ -77,32 +77,12 @@ class MismatchedSpacesError(MagicalError, ValueError):
     """Environments in one batch whose observation spaces differ."""
 
 
-class ClosedEnvironmentError(MagicalError, RuntimeError):
-    """An environment was used after it was closed."""
-
-
 class WorkerDiedError(MagicalError, RuntimeError):
-    """A worker process exited or was killed; a vector environment is then closed."""
+    """A worker process exited or was killed."""
 
 
 class WorkerError(MagicalError, RuntimeError):
     """A worker's exception whose class cannot be rebuilt; its traceback is the cause."""
-
-
-class WorkerTimeoutError(MagicalError, TimeoutError):
-    """A worker process did not finish in time; the vector environment is closed."""
-
-
-class AlreadyPendingCallError(MagicalError, RuntimeError):
-    """A vector environment was called while another call to it was in progress."""
-
-
-class ForkedEnvironmentError(MagicalError, RuntimeError):
-    """A vector environment was used in a fork of the process that created it."""
-
-
-class NotPicklableError(MagicalError, TypeError):
-    """An environment cannot be pickled or copied; the message says what to do instead."""
 
 
 class InvalidScoreError(MagicalError, ValueError):

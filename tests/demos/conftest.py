@@ -14,6 +14,7 @@ from magical.cli import main
 from magical.demos import DatasetWriter, Trajectory
 from magical.envs import parse_env_id
 from magical.physics import Simulation
+from magical.scene.actions import POINTS
 from magical.tasks import get_task
 
 MakeTrajectory = Callable[..., Trajectory]
@@ -34,7 +35,7 @@ def make_trajectory() -> MakeTrajectory:
         actions = rng.integers(18, size=steps)
         bodies = [simulation.read()]
         for action in actions.tolist():
-            simulation.step(action)
+            simulation.step(POINTS[action])
             bodies.append(simulation.read())
         options = {"dynamics": dynamics, "seed": seed, "demonstrator": "random", **more}
         return Trajectory.from_poses(env_id, scene, actions, np.stack(bodies), **options)

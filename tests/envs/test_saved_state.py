@@ -5,7 +5,6 @@ import json
 import math
 from collections.abc import Callable, Iterator
 from contextlib import closing
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -74,8 +73,7 @@ WRONG: dict[str, list[tuple[tuple[Any, ...], Any]]] = {  # field in the message:
         (("bodies",), SAVED["bodies"][:-1]),
         (("bodies",), []),
         (("bodies", 0), [0.0] * 5),
-        (("bodies", 0, 0), 1.1),
-        (("bodies", -1, 4), -11.0),
+        (("bodies", 0, 0), 1e4),
         (("bodies", 1, 5), "fast"),
     ],
     "exact": [(("exact",), 1)],
@@ -83,11 +81,7 @@ WRONG: dict[str, list[tuple[tuple[Any, ...], Any]]] = {  # field in the message:
 }
 DAMAGED: list[tuple[str, Any]] = [
     *((field, with_entry(*change)) for field, changes in WRONG.items() for change in changes),
-    *(
-        (name, {key: value for key, value in SAVED.items() if key != name})
-        for name in SAVED
-        if name not in ("bodies", "exact")  # earlier versions did not save these
-    ),
+    *((name, {key: value for key, value in SAVED.items() if key != name}) for name in SAVED),
     *(("saved state", value) for value in (None, [1, 2])),
 ]
 
@@ -110,15 +104,6 @@ def test_damaged_states_are_refused_and_the_field_is_named(field: str, state: An
     env.set_state(SAVED)
     env.step(0)
     env.reset()
-
-
-def test_workers_refuse_damaged_states_as_well() -> None:
-    envs = MagicalVectorEnv([f"{TASK}-{VARIANT}-v0"], workers=1, observation="state")
-    for field, state in DAMAGED[::4]:
-        assert field in refusal(partial(envs.set_state, 0), state)
-    envs.set_state(0, SAVED)
-    envs.step([0])
-    envs.close()
 
 
 def departed(shift: float = 1e-3) -> State:
@@ -148,10 +133,9 @@ def test_a_difference_in_the_last_bit_is_told() -> None:
     assert not env.get_state()["exact"]
 
 
-@pytest.mark.parametrize("workers", [0, 1])
-def test_the_vector_environment_sets_saved_bodies_as_well(workers: int) -> None:
+def test_the_vector_environment_sets_saved_bodies_as_well() -> None:
     ids = [f"{TASK}-{VARIANT}-v0"] * 2
-    with closing(MagicalVectorEnv(ids, workers=workers, observation="LoRes4E")) as envs:
+    with closing(MagicalVectorEnv(ids, workers=1, observation="LoRes4E")) as envs:
         with pytest.warns(RuntimeWarning, match="led to other bodies"):
             stack = envs.set_state(1, departed(0.2))
         envs.set_state(0, SAVED)
@@ -159,12 +143,6 @@ def test_the_vector_environment_sets_saved_bodies_as_well(workers: int) -> None:
         assert [envs.get_state(row)["exact"] for row in range(2)] == [True, False]
     frames = np.split(stack, 4, axis=2)
     assert all((frame == frames[0]).all() for frame in frames)
-
-
-def test_a_state_without_bodies_is_continued_by_its_actions() -> None:
-    env = make_env()
-    env.set_state({name: SAVED[name] for name in SAVED if name not in ("bodies", "exact")})
-    assert env.get_state() == SAVED
 
 
 def test_an_episode_keeps_its_variant() -> None:
@@ -176,13 +154,10 @@ def test_an_episode_keeps_its_variant() -> None:
     assert env.variant == env.env_id.variant == env.get_state()["variant"] == "Demo"
 
 
-@pytest.mark.parametrize("workers", [0, 1])
-def test_the_next_episode_has_the_environments_own_horizon(workers: int) -> None:
+def test_the_next_episode_has_the_environments_own_horizon() -> None:
     env = MagicalEnv(TASK, VARIANT, observation="state", horizon=5)
     env.reset(seed=0)
-    envs = MagicalVectorEnv(
-        [f"{TASK}-{VARIANT}-v0"], workers=workers, observation="state", horizon=7
-    )
+    envs = MagicalVectorEnv([f"{TASK}-{VARIANT}-v0"], workers=1, observation="state", horizon=7)
     envs.set_state(0, env.get_state())
     assert envs.states()[0].horizon == 5
     envs.reset(seed=0)
@@ -197,11 +172,11 @@ def test_after_a_state_at_its_episodes_end_comes_another_episode() -> None:
     with pytest.raises(ResetNeededError):
         env.step(1)
     ids = [f"{TASK}-{VARIANT}-v0"]
-    envs = MagicalVectorEnv(ids, workers=0, observation="state", autoreset_mode="NextStep")
+    envs = MagicalVectorEnv(ids, workers=1, observation="state", autoreset_mode="NextStep")
     envs.set_state(0, ended)
     assert not envs.step([1])[3].any()
     assert (envs.states()[0].step, envs.states()[0].horizon) == (0, 120)
-    envs = MagicalVectorEnv(ids, workers=0, observation="state", autoreset_mode="Disabled")
+    envs = MagicalVectorEnv(ids, workers=1, observation="state", autoreset_mode="Disabled")
     envs.set_state(0, ended)
     with pytest.raises(ResetNeededError):
         envs.step([1])

@@ -10,6 +10,7 @@ from magical.experts.geometry import HELD_DISTANCE
 from magical.experts.grasp import is_between_fingers
 from magical.physics import Simulation
 from magical.scene import SHAPES, Block, Colour, Pose, Scene, Shape
+from magical.scene.actions import POINTS
 from tests.experts.scenes import blocks_at, view_of
 
 CLOSED = 9  # added to an action's id: the same with closed fingers
@@ -23,7 +24,7 @@ def test_motion_model_agrees_with_the_physics(shape: Shape) -> None:
         block = Block(shape, Colour.RED, Pose(0.0, HELD_DISTANCE, 0.0))
         simulation = Simulation(Scene(Pose(0.0, 0.0, 0.0), (block,)))
         for each in [CLOSED] * 3 + [action + CLOSED] * 5 + [CLOSED]:
-            simulation.step(each)
+            simulation.step(POINTS[each])
         # Of the motions that begin so and last five steps, the last repeats the action throughout.
         row = np.flatnonzero((table.first == action) & (table.time == 5))[-1]
         predicted = table.block[row, -1]

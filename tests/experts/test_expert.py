@@ -16,7 +16,7 @@ from magical.evaluation.expert import ExpertPolicy
 from magical.experts import Memory, expert_for, rollout
 from magical.physics import Simulation
 from magical.scene import NOOP, NUM_ACTIONS, Block, Colour, Pose, Scene, Shape
-from magical.scene.actions import Action, Gripper
+from magical.scene.actions import POINTS, Action, Gripper
 from magical.scene.poses import FIRST_BLOCK
 from magical.tasks import TASKS, get_task
 from tests.experts.scenes import scattered, state_of
@@ -39,11 +39,11 @@ def test_finished_expert_releases_the_block_and_stays(away: float) -> None:
     scene = Scene(Pose(away, 0.0, math.pi / 2), blocks)
     simulation, memory, expert = Simulation(scene), None, expert_for("MakeLine", seed=0)
     for _ in range(3):
-        simulation.step(Action(gripper=Gripper.CLOSED).id)
+        simulation.step(POINTS[Action(gripper=Gripper.CLOSED).id])
     before = simulation.read()[FIRST_BLOCK:, :2].copy()
     for step in range(100):
         action, memory = expert.act(state_of(simulation, scene, step), memory)
-        simulation.step(action)
+        simulation.step(POINTS[action])
     assert np.abs(simulation.read()[FIRST_BLOCK:, :2] - before).max() < 0.03
     assert action == Action(gripper=Gripper.CLOSED).id
 
@@ -75,7 +75,7 @@ def test_starts_without_memory_at_any_time() -> None:
     simulation, expert = Simulation(scene, dynamics), expert_for("MoveToCorner", seed=0)
     for step in range(spec.horizon):  # forgetting everything at every step
         action, _ = expert.act(state_of(simulation, scene, step, spec.horizon))
-        simulation.step(action)
+        simulation.step(POINTS[action])
     assert spec.score(scene, simulation.poses()) == 1.0
 
 

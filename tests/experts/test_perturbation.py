@@ -9,7 +9,7 @@ from magical.experts.memory import note_other_action
 from magical.experts.noise import MAX_PERTURBED_STEPS, perturbation
 from magical.physics import Simulation
 from magical.scene import NOOP, NUM_ACTIONS
-from magical.scene.actions import Action, Gripper
+from magical.scene.actions import POINTS, Action, Gripper
 from magical.tasks import get_task
 from tests.experts.scenes import state_of
 
@@ -83,7 +83,7 @@ def test_labels_are_those_of_an_expert_that_observes_what_is_executed() -> None:
         label, memory = expert.act(state_of(simulation, episode.scene, step, 80), memory)
         memory = memory if label == action else note_other_action(memory, action)
         labels.append(label)
-        simulation.step(action)
+        simulation.step(POINTS[action])
     assert labels == episode.expert_actions.tolist()
     assert np.array_equal(simulation.poses().bodies, episode.poses[-1])
 

@@ -9,6 +9,7 @@ from magical.errors import InvalidSceneError
 from magical.observe import StateSpec
 from magical.physics import Simulation
 from magical.scene import Block, Colour, Pose, Region, Scene, Shape
+from magical.scene.actions import POINTS
 
 SCENE = Scene(
     Pose(0.1, 0.2, 0.3),
@@ -43,7 +44,7 @@ def test_velocities_and_finger_motion() -> None:
     simulation = Simulation(SCENE)
     observer = SPEC.observer()
     observer.start(SCENE, simulation.read())
-    simulation.step(13)  # forward-left-closed
+    simulation.step(POINTS[13])  # forward-left-closed
     bodies = simulation.read()
     observer.update(bodies)
     entries = _named(observer.out)

@@ -10,15 +10,15 @@ import pymunk
 import pytest
 
 from magical.physics import Simulation
-from magical.physics.pins import finger_position, published_error
-from magical.scene import Pose
+from magical.physics.simulation import finger_position, published_error
+from magical.scene import Pose, Poses
 from magical.scene import constants as c
-from magical.scene.actions import NUM_ACTIONS
+from magical.scene.actions import POINTS
 from magical.scene.geometry import rotate, to_workspace
 from magical.tasks import TASKS
 
 # Robot pose and finger angles after the first step from each Demo scene, for each action. Written
-# under pymunk 5.6.0 by studies/determinism/pymunk_versions.py; in that version this package's
+# under pymunk 5.6.0 by studies/determinism (commit eb101564); in that version this package's
 # physics is within the rounding of all recorded motions.
 FIRST_STEPS = json.loads((Path(__file__).parent / "first-steps.json").read_text())
 ROOTS = [(side * c.FINGER_ROOT_X, c.FINGER_ROOT_Y) for side in c.SIDES]
@@ -74,15 +74,13 @@ def test_a_robot_without_commands_stays_at_rest() -> None:
         simulation = Simulation(task.demo)
         start = simulation.read()
         for _ in range(3):
-            simulation.step(0)
+            simulation.step(POINTS[0])
         assert np.array_equal(simulation.read(), start)
 
 
 @pytest.mark.parametrize("name", FIRST_STEPS)
 def test_the_first_step_from_a_demo_scene(name: str) -> None:
-    for action in range(NUM_ACTIONS):
-        simulation = Simulation(TASKS[name].demo)
-        simulation.step(action)
-        poses = simulation.poses()
+    for action, point in enumerate(POINTS):
+        poses = Poses(Simulation(TASKS[name].demo).step(point)[:, :3])
         found = [*poses.robot, *poses.finger_angles]
         assert np.allclose(found, FIRST_STEPS[name][action], rtol=0, atol=1e-8), action

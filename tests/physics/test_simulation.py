@@ -1,16 +1,12 @@
-"""The simulation: construction, control law, reading of bodies."""
-
-import math
+"""The simulation: construction, dynamics, limits."""
 
 import numpy as np
 import pytest
 
 from magical.errors import InvalidSceneError
 from magical.physics import Simulation
-from magical.physics.robot import COMMANDS
-from magical.scene import Action, Block, Colour, Dynamics, Pose, Poses, Scene, Shape
-from magical.scene.actions import Gripper, Longitudinal, Turn
-from magical.scene.constants import TURN_MAX_BIAS
+from magical.scene import Block, Colour, Dynamics, Pose, Poses, Scene, Shape
+from magical.scene.actions import POINTS
 from magical.scene.poses import FINGERS
 
 SCENE = Scene(
@@ -28,47 +24,36 @@ SCENE = Scene(
 def test_initial_poses_are_the_scenes(robot_first: bool) -> None:
     scene = Scene(SCENE.robot, SCENE.blocks, robot_first=robot_first)
     simulation = Simulation(scene)
-    found, expected = simulation.poses().bodies, Poses.at_rest(scene).bodies
+    found, expected = simulation.read()[:, :3], Poses.at_rest(scene).bodies
     off_root = found[FINGERS, :2] - expected[FINGERS, :2]
-    assert 0 < np.abs(off_root).max() < 1e-14  # on purpose: magical/physics/pins.py
+    assert 0 < np.abs(off_root).max() < 1e-14  # on purpose: `finger_position`
     found[FINGERS, :2] = expected[FINGERS, :2]
     assert np.array_equal(found, expected)
     assert not simulation.read()[:, 3:].any()
 
 
 def test_finger_moments_are_the_published_ones() -> None:
-    left, right = Simulation(SCENE)._robot.fingers
+    left, right = Simulation(SCENE)._bodies[FINGERS]
     assert left.moment == pytest.approx(0.005006, abs=5e-7)
     assert right.moment == pytest.approx(0.004983, abs=5e-7)
 
 
 def test_the_same_actions_give_bit_equal_poses() -> None:
-    actions = np.random.default_rng(0).integers(18, size=200)
+    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (200, 3))
     tables: list[np.ndarray] = []
     for _ in range(2):
         simulation = Simulation(SCENE, Dynamics.sample(np.random.default_rng(1)))
         for action in actions:
-            simulation.step(int(action))
+            simulation.step(action)
         tables.append(simulation.read())
     assert np.array_equal(tables[0], tables[1])
-
-
-def test_steering_rates() -> None:
-    for action, command in {
-        Action(): (0, 0, math.pi / 8),
-        Action(Longitudinal.FORWARD, Turn.LEFT): (0.8, 1.5, math.pi / 8),
-        Action(Longitudinal.BACK, Turn.RIGHT, Gripper.CLOSED): (-0.6, -1.5, 0),
-    }.items():
-        motion, turn_limit = COMMANDS[action.id]
-        assert motion == pytest.approx(command)
-        assert turn_limit == TURN_MAX_BIAS
 
 
 @pytest.mark.parametrize("field", Dynamics().to_dict())
 def test_every_dynamics_parameter_matters(field: str) -> None:
     # The robot drives at a block off its centre, turning and gripping.
     scene = Scene(Pose(0, 0, 0), (Block(Shape.SQUARE, Colour.RED, Pose(0.08, 0.4, 0.3)),))
-    actions = [Action(Longitudinal.FORWARD, Turn.LEFT, Gripper.CLOSED).id] * 8
+    actions = [(1.0, 1.0, 1.0)] * 8
     tables: list[np.ndarray] = []
     for dynamics in (Dynamics(), Dynamics(**{field: 0.5 * getattr(Dynamics(), field)})):
         simulation = Simulation(scene, dynamics)
@@ -81,8 +66,8 @@ def test_every_dynamics_parameter_matters(field: str) -> None:
 def test_the_robot_cannot_leave_through_a_wall() -> None:
     simulation = Simulation(Scene(Pose(0, 0.5, 0)))
     for _ in range(40):
-        simulation.step(Action(Longitudinal.FORWARD).id)
-    assert simulation.poses().robot.y < 0.85
+        bodies = simulation.step((1.0, 0.0, -1.0))
+    assert bodies[0, 1] < 0.85
 
 
 def test_states_that_the_solver_cannot_be_given() -> None:
@@ -99,8 +84,8 @@ def test_the_strongest_and_weakest_forces_and_the_furthest_poses_stay_finite() -
     for scene in (SCENE, Scene(Pose(1e3, 1e3, 1e3), blocks)):
         for force in (5e-324, 1e308):
             simulation = Simulation(scene, Dynamics(*[force] * 5))
-            for action in range(18):
-                simulation.step(action)
+            for point in POINTS:
+                simulation.step(point)
             assert np.isfinite(simulation.read()).all()
 
 
@@ -109,8 +94,8 @@ def test_simulations_free_their_memory() -> None:
     import resource  # only there
 
     for _ in range(50):
-        Simulation(SCENE).step(0)
+        Simulation(SCENE).step(POINTS[0])
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     for _ in range(500):
-        Simulation(SCENE).step(0)
+        Simulation(SCENE).step(POINTS[0])
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 5000  # kB

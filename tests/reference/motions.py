@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from magical.grouping import group_by
 from magical.physics import Simulation
-from magical.scene.actions import NUM_ACTIONS
+from magical.scene.actions import NUM_ACTIONS, POINTS
 from magical.scene.scene import Block, Pose, Scene
 from magical.scene.vocabulary import Colour
 from tests.reference.recordings import Comparison, expecting, read_json, write_json
@@ -148,7 +148,7 @@ def _unrounded(angle: float) -> float:
     """The multiple of a quarter turn whose recording (seven decimals) is `angle`, or `angle`.
 
     The digits lost to rounding matter: they decide the direction of the fingers' pin joints
-    (magical/physics/pins.py).
+    (`physics.simulation.finger_position`).
     """
     turns = round(angle / (math.pi / 2)) * (math.pi / 2)
     return turns if round(turns, 7) == angle else angle
@@ -158,7 +158,7 @@ def _simulate(scene: Scene, actions: Sequence[int]) -> Motion:
     simulation = Simulation(scene)
     history = [simulation.poses()]
     for action in actions:
-        simulation.step(action)
+        simulation.step(POINTS[action])
         history.append(simulation.poses())
     return {
         "robot_pose": [list(poses.robot) for poses in history],

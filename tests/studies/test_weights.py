@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from baselines.baselines.tests.experiments.conftest import Planned
+from baselines.baselines.baselines.tests.experiments.conftest import Planned
 
 from magical.cli import main as magical
 from magical.evaluation import read_entry

@@ -22,6 +22,7 @@ from magical.evaluation import evaluate
 from magical.physics import Simulation
 from magical.runs import read_metrics
 from magical.runs.folder import CHECKPOINT
+from magical.scene.actions import POINTS
 from magical.tasks import get_task
 from magical_baselines import NetworkPolicy, load_policy, train
 from magical_baselines.algorithms.bc import (
@@ -171,6 +172,7 @@ import os, pathlib, signal, sys
 from magical_baselines import train
 from magical_baselines.algorithms import read_config
 from magical.files import write_atomically
+from magical.scene.actions import POINTS
 
 def die(step, metrics):
     if step == 4:
@@ -267,7 +269,7 @@ def test_state_vectors_are_learned_from(tmp_path: Path) -> None:
     simulation = Simulation(task.demo)
     poses = [simulation.poses().bodies]
     for action in actions.tolist():
-        simulation.step(action)
+        simulation.step(POINTS[action])
         poses.append(simulation.poses().bodies)
     demo = Trajectory.from_poses("MoveToRegion-Demo-v0", task.demo, actions, np.stack(poses))
     demos = write_demos(tmp_path / "demos", [demo])

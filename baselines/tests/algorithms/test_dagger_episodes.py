@@ -15,6 +15,7 @@ from magical.experts import Memory, expert_for, strategy_seed
 from magical.experts.memory import note_other_action
 from magical.physics import Simulation
 from magical.scene import Poses, State
+from magical.scene.actions import POINTS
 from magical_baselines.algorithms.dagger import collect_labelled
 
 ENV_IDS = (
@@ -65,7 +66,7 @@ def expert_on(trajectory: Trajectory) -> tuple[list[int], NDArray[np.float64]]:
         label, memory = expert.act(state, memory)
         memory = memory if label == action else note_other_action(memory, action)
         labels.append(label)
-        simulation.step(action)
+        simulation.step(POINTS[action])
         poses.append(simulation.read()[:, :3].copy())
     return labels, np.stack(poses)
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from baselines.baselines.tests.experiments.conftest import Planned, Started
+from baselines.baselines.baselines.tests.experiments.conftest import Planned, Started
 
 from magical.demos import Dataset, DatasetWriter
 from magical.demos.generate import generate

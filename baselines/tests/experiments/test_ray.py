@@ -9,8 +9,13 @@ import pytest
 
 pytest.importorskip("ray", reason="the extra ray is not installed")
 
-from baselines.baselines.tests.experiments.conftest import Planned
-from baselines.baselines.tests.experiments.processes import TIMEOUT, reached, running, scores_of
+from baselines.baselines.baselines.tests.experiments.conftest import Planned
+from baselines.baselines.baselines.tests.experiments.processes import (
+    TIMEOUT,
+    reached,
+    running,
+    scores_of,
+)
 from ray.cluster_utils import Cluster
 
 from magical.cli import main

@@ -10,6 +10,7 @@ from goals.tests.objects import plain_parser
 from magical.physics import Simulation
 from magical.render import Renderer
 from magical.scene import NUM_ACTIONS, Poses, Scene, View
+from magical.scene.actions import POINTS
 from magical.scene.constants import FINGER_OPEN, SQUARE_SIDE
 from magical.scene.poses import FINGERS, FIRST_BLOCK, ROBOT
 from magical.scene.scene import Block, Pose, Region
@@ -103,7 +104,7 @@ def test_the_compiled_parser_finds_what_the_plain_one_does(task: str) -> None:
         simulation = Simulation(scene, dynamics)
         for action in rng.integers(NUM_ACTIONS, size=10):
             for _ in range(4):
-                simulation.step(int(action))
+                simulation.step(POINTS[action])
             frames.append(render(scene, simulation.poses().bodies))
     batch = np.stack([*frames, np.zeros_like(frames[0]), np.full_like(frames[0], 255)])
     found, expected = parse_frames(batch), plain_parser.parse_frames(batch)

@@ -30,9 +30,9 @@ from magical.commands._common import (
     print_table,
 )
 from magical.errors import MagicalError
+from magical.evaluation.noise import MAX_NOISE
 from magical.messages import decimals, quoted
 from magical.runs.sources import parse_source
-from magical.scene.constants import MAX_NUDGE
 from magical.tasks import parse_horizon
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "shift initial poses randomly by up to X units and radians, seeded by the rollout's seed; "
         "1e-9 averages over effects of rounding"
     )
-    add_number(parser, "--nudge", meaning, default=None, most=MAX_NUDGE)
+    add_number(parser, "--nudge", meaning, default=None, most=MAX_NOISE)
     add_seed(parser, "which set of fixed seeds to use")
     parser.add_argument(
         "--observation",

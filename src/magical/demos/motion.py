@@ -5,7 +5,6 @@ from numpy.typing import NDArray
 
 from magical.physics import Simulation
 from magical.scene import Dynamics, Scene
-from magical.scene.actions import AnyAction
 from magical.scene.constants import CONTROL_RATE
 
 PRECISION = 1e-3  # units or radians: smaller differences may be errors of the recorded poses
@@ -28,11 +27,14 @@ class PoseFollower:
         self._simulation = Simulation(scene, dynamics)
         self.states: States = self._simulation.read()
 
-    def predict(self, action: AnyAction) -> Bodies:
-        """Simulate one control step from the current poses and velocities; returns the poses."""
+    def predict(self, action: NDArray[np.float64]) -> Bodies:
+        """Simulate one control step from the current poses and velocities; returns the poses.
+
+        Args:
+            action: drive, turn, grip.
+        """
         self._simulation.write(self.states)
-        self._simulation.step(action)
-        self._predicted = self._simulation.read()
+        self._predicted = self._simulation.step(action)
         return self._predicted[:, :3].copy()
 
     def correct(self, bodies: Bodies) -> None:

@@ -128,7 +128,7 @@ def recorded_trajectory(
     return Trajectory.from_poses(
         env.env_id,
         env.state().scene,
-        saved["actions"],
+        env.action_spec.convert(np.array(saved["actions"])),
         np.stack(bodies),
         dynamics=Dynamics.from_dict(saved["dynamics"]),
         seed=seed,

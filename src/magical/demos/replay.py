@@ -8,9 +8,11 @@ from operator import attrgetter
 import numpy as np
 
 from magical.demos.store.trajectory import Trajectory
+from magical.envs.action_spec import CONTINUOUS
 from magical.envs.ids import EnvId
 from magical.grouping import group_by
 from magical.physics import Simulation
+from magical.scene import Poses
 
 # Mean scores (by the published code's rule) of 25 human demonstrations per task, replayed in the
 # published implementation itself: unchanged, and with the robot's initial position moved by 1e-9.
@@ -66,9 +68,9 @@ class MeanReplay:
 def replay(trajectory: Trajectory, file: str = "") -> Replay:
     """Simulate a trajectory's actions from its initial scene, and score the final state."""
     simulation = Simulation(trajectory.scene, trajectory.dynamics)
-    for action in trajectory.actions.tolist():
-        simulation.step(action)
-    poses = simulation.poses()
+    for point in CONTINUOUS.convert(trajectory.actions):
+        simulation.step(point)
+    poses = Poses(simulation.read()[:, :3])
     departure = None
     if trajectory.poses is not None:
         difference = poses.bodies[:, :2] - trajectory.poses[-1, :, :2]

@@ -1,7 +1,14 @@
 """The Gymnasium environments, single and vectorised, and their ids."""
 
-from magical.envs.ids import EnvId, all_env_ids, parse_env_id
-from magical.envs.registration import env_spec, register_all, register_envs, register_published
+from magical.envs.ids import (
+    EnvId,
+    all_env_ids,
+    env_spec,
+    parse_env_id,
+    register_all,
+    register_envs,
+    register_published,
+)
 
 __all__ = [
     "EnvId",

@@ -1,33 +1,64 @@
 """The Gymnasium environment."""
 
-from collections.abc import Mapping
-from typing import Any, ClassVar, Literal, NoReturn, get_args
+import importlib
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal, get_args
 
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from magical.envs.action_spec import ActionSpaceName, action_spec
-from magical.envs.episode import Episode, Reward, Scores, checked_paraphrase
+from magical.envs.action_spec import ActionSpaceName, Point, action_spec
 from magical.envs.ids import EnvId
 from magical.envs.keys import KEYS_TO_ACTION
-from magical.envs.saved_state import parse_state, warn_of_departure
+from magical.envs.saved_state import SavedState
 from magical.errors import (
     InvalidConfigError,
-    NotPicklableError,
+    InvalidSceneError,
+    InvalidScoreError,
+    InvalidStateError,
     ResetNeededError,
     UnknownNameError,
 )
 from magical.messages import quoted
 from magical.observe import Observation, make_spec
 from magical.observe.arrays import copy_arrays
+from magical.physics import Simulation
+from magical.plugins import is_plugin, load_plugin, plugins
 from magical.scene.constants import CONTROL_RATE
-from magical.scene.poses import State
-from magical.tasks import Horizon, Task, get_task
+from magical.scene.poses import Poses, State
+from magical.scene.scene import Dynamics, Scene
+from magical.tasks import Horizon, Task, get_task, parse_horizon
 
+SUCCESS = 0.5  # an episode with a higher score succeeded, as in the published environments
 SCORE_KEYS = ("eval_score", "published_code_score")  # of `info`
 Instruction = Literal["attributes", "task"]
+RESET_OPTIONS = ("scene", "dynamics")
+RENDER_MODES = (None, "rgb_array")
+
+# A reward is "none", "score", or the name of an entry point in this group: a function from the task
+# to a potential, whose increase is the reward. It raises `UnknownNameError` for a task without one.
+REWARDS = "magical.rewards"
+Reward = str
+Bodies = NDArray[np.float64]  # (5 + blocks, 6): x, y, angle and their velocities
+Potential = Callable[[Scene, Bodies], float]
+BUILT_IN_REWARDS = {"dense": "magical.tasks.programs.reward:dense"}
+
+
+@dataclass(frozen=True, slots=True)
+class Scores:
+    """A final state's score by both rules, each in [0, 1]."""
+
+    score: float = 0.0
+    published_code: float = 0.0
+
+    def to_info(self) -> dict[str, Any]:
+        """The entries that every `info` has."""
+        values = dict(zip(SCORE_KEYS, (self.score, self.published_code), strict=True))
+        return {**values, "is_success": self.score > SUCCESS}
 
 
 class MagicalEnv(gym.Env[Any, Any]):
@@ -45,8 +76,8 @@ class MagicalEnv(gym.Env[Any, Any]):
     and `observe.StateSpec` for the others.
 
     ## Rewards
-    0, or with `reward="score"` the score at the last step, or with `reward="dense"` (tasks with a
-    `program`) the increase of `magical.tasks.programs.progress` since the last step.
+    0, or with `reward="score"` the score at the last step, or the increase of a potential, such as
+    "dense", since the last step.
 
     ## Episode end
     Episodes are truncated at the horizon and never terminate.
@@ -54,8 +85,8 @@ class MagicalEnv(gym.Env[Any, Any]):
     ## Info
     `eval_score` and `published_code_score` at every step, as in the published environments: 0.0
     before the last step, then the final state's scores (`scores()` has the current state's).
-    `is_success`, whether the score is above 0.5 (`tasks.programs.SUCCESS`), False before the last
-    step. `instruction` at `reset`: what to do, in English (`Task.instruction`).
+    `is_success`, whether the score is above 0.5, False before the last step. `instruction` at
+    `reset`: what to do, in English (`Task.instruction`).
 
     Args:
         task: the task's name.
@@ -63,18 +94,23 @@ class MagicalEnv(gym.Env[Any, Any]):
         observation: see `observe.make_spec`.
         horizon: control steps in an episode; by default the task's; "published" takes the published
             code's, which differs for some tasks.
-        reward: "none", "score" or "dense".
+        reward: "none", "score", or the name of a potential (`REWARDS`).
         render_mode: "rgb_array" (both views side by side) or None; for a window see
             `gymnasium.wrappers.HumanRendering`.
         instruction: "attributes" names blocks by colour and shape in `info["instruction"]`; "task"
             only says what the task is about.
-        paraphrase: which of the instruction's wordings.
         action_space: "discrete" or "continuous".
 
     Raises:
         UnknownNameError: there is no such task, variant, observation, reward, render mode,
             instruction or action space.
-        InvalidConfigError, ObservationError: an invalid horizon, paraphrase or observation.
+        InvalidConfigError, ObservationError: an invalid horizon or observation.
+
+    Attributes:
+        simulation: the episode's physics.
+        bodies: poses and velocities of all bodies.
+        actions: those of the episode so far, as drive, turn and grip.
+        observer: has the current observation, which it overwrites at every step.
     """
 
     # A class attribute, as Gymnasium reads it, although Gymnasium declares it on instances.
@@ -82,6 +118,8 @@ class MagicalEnv(gym.Env[Any, Any]):
         "render_modes": ["rgb_array"],
         "render_fps": int(CONTROL_RATE),
     }
+    simulation: Simulation
+    bodies: Bodies
 
     def __init__(
         self,
@@ -93,39 +131,24 @@ class MagicalEnv(gym.Env[Any, Any]):
         reward: Reward = "none",
         render_mode: str | None = None,
         instruction: Instruction = "attributes",
-        paraphrase: int = 0,
         action_space: ActionSpaceName = "discrete",
     ) -> None:
         self.task: Task = get_task(task)
-        self._named = names_attributes(instruction)
-        self._paraphrase = checked_paraphrase(paraphrase)
         self.task.axes_of(variant)  # raises for a variant that the task lacks
+        self._own = self.task.resolve_horizon(parse_horizon(horizon)), variant
+        self.horizon, self.variant = self._own
+        self.reward, self.potential = reward, find_potential(reward, self.task)
+        self.render_mode = known("render mode", render_mode, RENDER_MODES)
+        self._names_attributes = known("instruction", instruction, get_args(Instruction))
         self.observation_spec = make_spec(observation, self.task)
-        self._episode = Episode(self.task, variant, self.observation_spec, horizon, reward)
-        if render_mode not in (None, *self.metadata["render_modes"]):
-            raise UnknownNameError(
-                f"render mode {quoted(render_mode)} is unknown; expected rgb_array or None"
-            )
-        self.render_mode = render_mode
         self.observation_space = self.observation_spec.space
+        self.observer = self.observation_spec.observer()
         self.action_spec = action_spec(action_space)
         self.action_space: spaces.Space[Any] = self.action_spec.space
-        self._running = False
-
-    @property
-    def env_id(self) -> EnvId:
-        """The id of the task and the episode's variant, without a preset."""
-        return EnvId(self.task.name, self._episode.variant)
-
-    @property
-    def variant(self) -> str:
-        """The episode's variant."""
-        return self._episode.variant
-
-    @property
-    def horizon(self) -> int:
-        """Control steps in an episode."""
-        return self._episode.horizon
+        self.actions: list[Point] = []
+        self.is_running = False
+        self._exact = True  # whether the actions lead to the bodies; see `SavedState`
+        self._last_potential = 0.0
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -135,22 +158,14 @@ class MagicalEnv(gym.Env[Any, Any]):
         Args:
             seed: of the random generator; `None` keeps the current generator.
             options: `scene` and `dynamics` (dataclasses, or plain dicts as `to_dict()` makes them)
-                to start from instead; `nudge`, which shifts the initial poses by up to that much,
-                sampled by the generator (units and radians; docs/determinism.md).
+                to start from instead.
 
         Raises:
             InvalidSceneError, PlacementError: no episode can start from these.
-            InvalidConfigError: unknown options, or a nudge out of range.
+            InvalidConfigError: unknown options.
         """
-        super().reset(seed=seed)
-        self._running = False
-        self._episode.start(self.np_random, options)
-        self._running = True
-        words = self.task.instruction(
-            self._episode.simulation.scene, paraphrase=self._paraphrase, attributes=self._named
-        )
-        info = score_info(Scores()) | {"instruction": words}
-        return copy_arrays(self._episode.observer.out), info
+        info = self.start(seed, options or {})
+        return copy_arrays(self.observer.out), info
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Act for one control step of 1/8 s.
@@ -161,15 +176,73 @@ class MagicalEnv(gym.Env[Any, Any]):
             ResetNeededError: before the first reset, or after the episode's end.
             InvalidScoreError: the task's score at the episode's end is not a number from 0 to 1.
         """
-        if not self._running:
+        if not self.is_running:
             raise ResetNeededError(
                 "step: expected a running episode, found none (not reset yet, or ended); "
                 "call reset() first"
             )
-        truncated = self._episode.step(self.action_spec.checked(action))
-        self._running = not truncated
-        reward, scores = self._episode.outcome(truncated)
-        return copy_arrays(self._episode.observer.out), reward, False, truncated, score_info(scores)
+        point = self.action_spec.point(action)
+        self.observe(point, self.simulation.step(point))
+        reward, scores = self.outcome()
+        truncated = not self.is_running
+        return copy_arrays(self.observer.out), reward, False, truncated, scores.to_info()
+
+    def start(self, seed: int | None, options: Mapping[str, Any]) -> dict[str, Any]:
+        """As `reset`, but leave the observation in the observer; returns the info."""
+        super().reset(seed=seed)
+        self.is_running = False
+        if not set(options) <= set(RESET_OPTIONS):
+            raise InvalidConfigError(
+                f"reset options: expected some of {RESET_OPTIONS}, found {quoted(dict(options))}"
+            )
+        self.horizon, self.variant = self._own  # a restored episode may have had others
+        scene, dynamics = self.task.sample(self.variant, self.np_random)
+        if (given := options.get("scene")) is not None:
+            scene = given if isinstance(given, Scene) else Scene.from_dict(given)
+            self.task.validate(scene)
+        if (given := options.get("dynamics")) is not None:
+            dynamics = given if isinstance(given, Dynamics) else Dynamics.from_dict(given)
+        self._exact = True
+        self._begin(Simulation(scene, dynamics), [])
+        words = self.task.instruction(scene, attributes=self._names_attributes == "attributes")
+        return Scores().to_info() | {"instruction": words}
+
+    def _begin(self, simulation: Simulation, actions: list[Point], *earlier: Bodies) -> None:
+        """Continue from a simulation's current state, with the bodies that a stack shows before."""
+        self.simulation, self.actions, self.bodies = simulation, actions, simulation.read()
+        first, *later = *earlier, self.bodies
+        self.observer.start(simulation.scene, first)  # raises for a scene that it cannot show
+        for bodies in later:
+            self.observer.update(bodies)
+        if self.potential:
+            self._last_potential = self.potential(simulation.scene, self.bodies)
+        self.is_running = len(actions) < self.horizon
+
+    def observe(self, action: Point, bodies: Bodies) -> None:
+        """Note a simulated step: the action, and the bodies that it led to."""
+        self.actions.append(action)
+        self.bodies = bodies
+        self.observer.update(bodies)
+
+    def outcome(self) -> tuple[float, Scores]:
+        """The reward of the step observed last, and the scores if the episode ends with it."""
+        self.is_running = len(self.actions) < self.horizon
+        scores = Scores() if self.is_running else self.scores()
+        if self.potential is None:
+            return (scores.score if self.reward == "score" else 0.0), scores
+        before = self._last_potential
+        self._last_potential = self.potential(self.simulation.scene, self.bodies)
+        return self._last_potential - before, scores
+
+    def scores(self) -> Scores:
+        """The current state's scores, at any step; raises `InvalidScoreError`."""
+        self._require_episode("scores")
+        task, scene, poses = self.task, self.simulation.scene, Poses(self.bodies[:, :3])
+        score = _checked_score(task, "score", task.score(scene, poses))
+        if task.published_score_fn is None:  # both rules are the same
+            return Scores(score, score)
+        published = task.published_code_score(scene, poses)
+        return Scores(score, _checked_score(task, "published code's score", published))
 
     def render(self) -> NDArray[np.uint8] | None:
         """Both views side by side, egocentric left: uint8 (384, 768, 3).
@@ -182,27 +255,28 @@ class MagicalEnv(gym.Env[Any, Any]):
         from magical.render import render_views  # imports numba: only when something is rendered
 
         self._require_episode("render")
-        return render_views(self._episode.simulation.scene, self._episode.poses)
+        return render_views(self.simulation.scene, Poses(self.bodies[:, :3]))
 
     def state(self) -> State:
-        """The true state, for experts and privileged learners."""
+        """A copy of the true state, for experts and privileged learners."""
         self._require_episode("state")
-        return self._episode.state()
-
-    def scores(self) -> Scores:
-        """The current state's scores, at any step; raises `InvalidScoreError`."""
-        self._require_episode("scores")
-        return self._episode.scores()
+        scene, bodies = self.simulation.scene, self.bodies.copy()
+        return State(scene, Poses(bodies[:, :3]), bodies[:, 3:], len(self.actions), self.horizon)
 
     def get_state(self) -> dict[str, Any]:
-        """JSON-compatible data from which `set_state` continues.
-
-        It holds the scene, the dynamics, the actions so far, the bodies (poses and velocities) and
-        the random generator's state; and `exact`, False if this episode was itself continued from a
-        state whose actions led to other bodies here.
-        """
+        """JSON-compatible data from which `set_state` continues: see `SavedState`."""
         self._require_episode("get_state")
-        return self._episode.save(self.np_random)
+        return {
+            "task": self.task.name,
+            "variant": self.variant,
+            "horizon": self.horizon,
+            "scene": self.simulation.scene.to_dict(),
+            "dynamics": self.simulation.dynamics.to_dict(),
+            "actions": list(map(list, self.actions)),
+            "bodies": self.bodies.tolist(),
+            "exact": self._exact,
+            "rng": dict(self.np_random.bit_generator.state),
+        }
 
     def set_state(self, state: Mapping[str, Any]) -> Any:
         """Continue from a saved state by simulating its actions again.
@@ -222,16 +296,35 @@ class MagicalEnv(gym.Env[Any, Any]):
             InvalidStateError: data of another task, or damaged; the next call must be `reset` or
                 `set_state`.
         """
-        self._running = False
-        saved = parse_state(state, self.task, self.action_spec)
-        departure = self._episode.restore(saved)
-        saved.restore_rng(self.np_random)
-        self._running = len(self._episode.actions) < self._episode.horizon
-        warn_of_departure(departure)
-        return copy_arrays(self._episode.observer.out)
+        self.is_running = False
+        saved, scene, dynamics, bodies = SavedState.parse(state, self.task)
+        simulation = Simulation(scene, dynamics)
+        seen = [simulation.read(), *map(simulation.step, saved.actions)]
+        departure = float(np.abs(seen[-1] - bodies).max())
+        if departure:
+            simulation.write(bodies)
+            seen = [bodies]
+            warnings.warn(
+                f"set_state: the saved actions led to other bodies, by up to {departure:.2g} "
+                "units, radians or these per second (another platform or build of pymunk?); the "
+                "saved bodies were set, but not what the solver keeps between steps",
+                RuntimeWarning,
+                stacklevel=2,
+            )
+        self.horizon, self.variant = saved.horizon, saved.variant
+        self._exact = saved.exact and not departure
+        try:
+            earlier = seen[-self.observation_spec.frames : -1]
+            self._begin(simulation, list(saved.actions), *earlier)
+        except InvalidSceneError as error:
+            raise InvalidStateError(f"saved state: scene: {error}") from error
+        self.np_random.bit_generator.state = saved.rng
+        return copy_arrays(self.observer.out)
 
-    def __reduce__(self) -> NoReturn:
-        raise not_picklable("MagicalEnv", "MagicalEnv(...)")
+    @property
+    def env_id(self) -> EnvId:
+        """The id of the task and the episode's variant, without a preset."""
+        return EnvId(self.task.name, self.variant)
 
     def get_keys_to_action(self) -> dict[tuple[str, ...], Any]:
         """Keys for `gymnasium.utils.play`: w, s drive, a, d turn, space closes the fingers."""
@@ -239,16 +332,24 @@ class MagicalEnv(gym.Env[Any, Any]):
         return dict(zip(KEYS_TO_ACTION, actions, strict=True))
 
     def _require_episode(self, what: str) -> None:
-        if not hasattr(self._episode, "simulation"):
+        if not hasattr(self, "simulation"):
             raise ResetNeededError(f"{what}: there is no episode yet; call reset() first")
 
 
-def not_picklable(name: str, constructor: str) -> NotPicklableError:
-    """The error for an attempt to pickle or copy an environment."""
-    return NotPicklableError(
-        f"{name} cannot be pickled or copied: its simulation is not plain data; make another one "
-        f"with {constructor}, and carry the episode over with get_state and set_state"
-    )
+def find_potential(reward: Reward, task: Task) -> Potential | None:
+    """The potential of a reward, None for "none" and "score"; raises `UnknownNameError`."""
+    if reward in ("none", "score"):
+        return None
+    if isinstance(reward, str) and reward in BUILT_IN_REWARDS:
+        module, _, name = BUILT_IN_REWARDS[reward].partition(":")
+        make = getattr(importlib.import_module(module), name)
+    elif isinstance(reward, str) and is_plugin(REWARDS, reward):
+        make = load_plugin(REWARDS, reward)
+    else:
+        names = ", ".join(("none", "score", *BUILT_IN_REWARDS, *plugins(REWARDS)))
+        raise UnknownNameError(f"reward {quoted(reward)} is unknown; expected one of: {names}")
+    potential: Potential = make(task)
+    return potential
 
 
 def refuse_time_limit(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
@@ -266,16 +367,21 @@ def time_limit_error(steps: Any) -> InvalidConfigError:
     )
 
 
-def score_info(scores: Scores) -> dict[str, Any]:
-    """The entries that every `info` has."""
-    values = dict(zip(SCORE_KEYS, (scores.score, scores.published_code), strict=True))
-    return {**values, "is_success": scores.is_success}
-
-
-def names_attributes(instruction: str) -> bool:
-    """Whether instructions name blocks by their attributes; raises `UnknownNameError`."""
-    if instruction not in get_args(Instruction):
+def known(what: str, value: Any, choices: Sequence[Any]) -> Any:
+    """The value; raises `UnknownNameError` unless it is one of the choices."""
+    if value not in choices:
         raise UnknownNameError(
-            f"instruction {quoted(instruction)} is unknown; expected attributes or task"
+            f"{what} {quoted(value)} is unknown; expected {' or '.join(map(str, choices))}"
         )
-    return instruction == "attributes"
+    return value
+
+
+def _checked_score(task: Task, name: str, value: Any) -> float:
+    """The score as a float; raises `InvalidScoreError`."""
+    number = isinstance(value, float | int | np.number | np.bool_)
+    if not number or not 0.0 <= value <= 1.0:
+        raise InvalidScoreError(
+            f"task {task.name}: expected a {name} from 0 to 1, found {quoted(value)}; "
+            "correct the task's score function"
+        )
+    return float(value)

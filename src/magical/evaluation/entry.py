@@ -11,8 +11,8 @@ from msgspec import Meta
 
 from magical import __version__
 from magical.envs.action_spec import DISCRETE
-from magical.envs.episode import checked_nudge
 from magical.errors import MagicalError, ScoresError
+from magical.evaluation.noise import checked_noise
 from magical.evaluation.policy import Policy, action_spec_of, observed
 from magical.evaluation.protocol import Evaluated, Evaluation
 from magical.evaluation.scores import (
@@ -62,7 +62,7 @@ class _EntryFile:
                 raise ScoresError(f"{name}: expected printable characters, found {quoted(text)}")
         if not self.method.strip():
             raise ScoresError(f"method: expected a name, found {self.method!r}")
-        checked_nudge(self.nudge)
+        checked_noise(self.nudge)
         parse_horizon(self.horizon)
         if self.observation == STATE:
             object.__setattr__(self, "privileged", True)

@@ -7,8 +7,8 @@ from typing import Any, Self
 
 from magical.envs import EnvId, parse_env_id
 from magical.envs.action_spec import DISCRETE
-from magical.envs.episode import checked_nudge
 from magical.errors import UnknownNameError
+from magical.evaluation.noise import checked_noise
 from magical.grouping import group_by
 from magical.observe import Observation, make_spec
 from magical.tasks import (
@@ -59,7 +59,7 @@ class Evaluation:
         if self.seed < 0:  # below 0 are the seeds of demonstrations and of training
             raise ValueError(f"seed: expected at least 0, found {self.seed}")
         object.__setattr__(self, "horizon", parse_horizon(self.horizon))
-        object.__setattr__(self, "nudge", checked_nudge(self.nudge))
+        object.__setattr__(self, "nudge", checked_noise(self.nudge))
 
     @classmethod
     def of(cls, env_ids: Iterable[str], **settings: Any) -> Self:

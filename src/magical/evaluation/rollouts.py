@@ -11,9 +11,9 @@ import numpy as np
 from magical.envs import EnvId
 from magical.envs.seeds import evaluation_seed
 from magical.envs.vector import MagicalVectorEnv
-from magical.envs.vector.workers import defining_modules
 from magical.errors import InvalidActionError, PolicyError
 from magical.evaluation.loading import PolicySource, load_policy
+from magical.evaluation.noise import reset_options
 from magical.evaluation.policy import Mask, Policy, action_spec_of, given_to, observation_for
 from magical.evaluation.protocol import ROLLOUTS, SEED, Evaluation, environments
 from magical.evaluation.scores import RolloutScore
@@ -21,6 +21,7 @@ from magical.evaluation.seeds import RolloutRng
 from magical.observe import Observation
 from magical.processes import checked_workers, map_in_processes
 from magical.tasks import Horizon, get_task, with_tasks
+from magical.tasks.registry import defining_modules
 
 NUM_ENVS = 64  # sub-environments stepped together: bounds the memory, hardly changes the speed
 SHARE = 10  # rollouts of one environment that a process computes at a time
@@ -215,7 +216,7 @@ def play(
     Yields the observations and infos of the reset, then of every step.
     """
     rng = RolloutRng(envs.env_ids, seeds)
-    options = {"nudge": nudge} if nudge else None
+    options = reset_options(envs.env_ids, seeds, nudge)
     observations, infos = envs.reset(seed=list(seeds), options=options)
     policy.reset(np.ones(len(seeds), np.bool_))
     yield observations, infos

@@ -6,7 +6,6 @@ import numpy as np
 from gymnasium.utils.seeding import np_random
 from numpy.typing import NDArray
 
-from magical.envs.vector.workers import defining_modules
 from magical.errors import InvalidTaskError
 from magical.experts.expert import Expert, expert_for, strategy_seed
 from magical.experts.goals import get_planner
@@ -14,7 +13,9 @@ from magical.experts.memory import Memory, note_other_action
 from magical.experts.noise import perturbation
 from magical.physics import Simulation
 from magical.scene import NOOP, Dynamics, Poses, Scene, State
+from magical.scene.actions import POINTS
 from magical.tasks import get_task
+from magical.tasks.registry import defining_modules
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,9 +87,8 @@ def rollout(
         expert_action = expert.act(State(scene, poses, velocities, step, spec.horizon))
         action = random_actions.execute(expert_action)
         expert.note_executed(action)
-        simulation.step(action)
         chosen.append((action, expert_action))
-        tables.append(simulation.read())
+        tables.append(simulation.step(POINTS[action]))
     actions, expert_actions = np.array(chosen).T
     score = spec.score(scene, Poses(tables[-1][:, :3]))
     return ExpertEpisode(scene, dynamics, actions, expert_actions, np.stack(tables), score)

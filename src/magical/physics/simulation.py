@@ -1,20 +1,23 @@
-"""The physics of one episode."""
+"""The physics of one episode, with pymunk (docs/specification.md, sections 2 to 5)."""
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from functools import cache
 
 import numpy as np
 import pymunk
+import pymunk.autogeometry
 from numpy.typing import NDArray
 
 from magical.errors import InvalidSceneError
-from magical.physics.blocks import add_block, add_walls
-from magical.physics.chipmunk import address, c_functions
-from magical.physics.robot import COMMANDS, ROBOT_GROUP, Robot, command
+from magical.physics.chipmunk import address
 from magical.scene import constants as c
-from magical.scene.actions import AnyAction
+from magical.scene.geometry import Point, block_outline, finger_polygons, rotate
 from magical.scene.poses import Poses
-from magical.scene.scene import Dynamics, Scene
+from magical.scene.scene import Block, Dynamics, Pose, Scene
+from magical.scene.vocabulary import Shape
+
+ROBOT_GROUP = 1  # collision group shared by all shapes of the robot
+_ROW = np.zeros(1, np.int64)
 
 
 class Simulation:
@@ -22,70 +25,69 @@ class Simulation:
 
     Bodies are added to the space in rendering order, walls first: the solver's result depends on
     the order (docs/specification.md, section 6).
+
+    Attributes:
+        robot: (8,) int64, and places: (5 + blocks, 2) int64: addresses for `substeps.step_rows`,
+            valid as long as this object.
     """
 
     def __init__(self, scene: Scene, dynamics: Dynamics | None = None) -> None:
+        from magical.physics import substeps  # imports numba: only when something is simulated
+
+        self._kernels = substeps
         self.scene = scene
         self.dynamics = dynamics or Dynamics()
-        self._space = pymunk.Space()
-        self._space.iterations = c.SOLVER_ITERATIONS
-        self._space.collision_slop = c.COLLISION_SLOP
-        add_walls(self._space)
+        self._space = space = pymunk.Space()
+        space.iterations = c.SOLVER_ITERATIONS
+        space.collision_slop = c.COLLISION_SLOP
+        add_walls(space)
         if scene.robot_first:
-            self._robot = Robot(self._space, scene.robot, self.dynamics)
+            robot = add_robot(space, scene.robot, self.dynamics)
         blocks = [
-            add_block(self._space, block, self.dynamics, group=ROBOT_GROUP + 1 + i)
+            add_block(space, block, self.dynamics, group=ROBOT_GROUP + 1 + i)
             for i, block in enumerate(scene.blocks)
         ]
         if not scene.robot_first:
-            self._robot = Robot(self._space, scene.robot, self.dynamics)
-        self._turn_limit = c.TURN_MAX_BIAS
-        self._bodies = [self._robot.body, *self._robot.fingers, *self._robot.eyes, *blocks]
-        # For each row of `Poses`, the body that holds its position and the one with its angle.
-        places = [self._robot.body if b in self._robot.eyes else b for b in self._bodies]
-        self._places = list(zip(places, self._bodies, strict=True))
-        self._compiled = compiled()
-        if self._compiled:
-            robot = self._robot
-            drive = self._space, robot.body, robot.control, *robot.fingers, *robot.motors
-            self._drive = [address(part) for part in drive]
-            self._addresses = np.array([list(map(address, pair)) for pair in self._places])
+            robot = add_robot(space, scene.robot, self.dynamics)
+        body, control, gear, fingers, motors, eyes = robot
+        self._bodies = [body, *fingers, *eyes, *blocks]
+        parts = (space, body, control, gear, *fingers, *motors)
+        self.robot = np.array([address(part) for part in parts])
+        turns = np.array([address(each) for each in self._bodies])
+        places = turns.copy()
+        places[3:5] = turns[0]  # eyes have no position of their own
+        self.places = np.stack([places, turns], axis=1)
 
-    def step(self, action: AnyAction) -> None:
+    def step(self, action: Sequence[float] | NDArray[np.float64]) -> NDArray[np.float64]:
         """Advance by one control step of 1/8 s.
 
         Args:
-            action: index into `scene.ACTIONS`, or drive, turn and grip; not checked here.
-        """
-        motion, turn_limit = COMMANDS[action] if isinstance(action, int) else command(action)
-        if turn_limit != self._turn_limit:
-            self._robot.gear.max_bias = self._turn_limit = turn_limit
-        if self._compiled:
-            self._compiled[0](*self._drive, *motion)
-            return
-        for _ in range(c.SUBSTEPS):
-            self._robot.steer(*motion)
-            self._space.step(c.SUBSTEP_TIME)
+            action: drive, turn and grip, each from -1 to 1; not checked here.
 
-    def poses(self) -> Poses:
-        """The current pose of every body."""
-        return Poses(self.read()[:, :3].copy())
+        Returns:
+            What `read` returns.
+        """
+        out = np.empty((1, len(self._bodies), 6))
+        actions = np.array([action], np.float64)
+        self._kernels.step_rows(_ROW, self.robot[None], self.places[None], actions, out)
+        bodies: NDArray[np.float64] = out[0]
+        return bodies
 
     def read(self) -> NDArray[np.float64]:
-        """Pose and velocity of every body in one pass.
+        """Pose and velocity of every body.
 
         Returns:
             A new array (5 + number of blocks, 6) in the rows of `Poses`: x, y, angle and their
             velocities, in units, radians and seconds. Eyes have no position of their own; theirs
             is the robot's.
         """
-        if self._compiled:
-            found = np.empty((len(self._addresses), 6))
-            self._compiled[1](self._addresses, found)
-            return found
-        return np.array(
-            [[*p.position, a.angle, *p.velocity, a.angular_velocity] for p, a in self._places]
-        )
+        out = np.empty((len(self._bodies), 6))
+        self._kernels.read_one(self.places, out)
+        return out
+
+    def poses(self) -> Poses:
+        """The current pose of every body."""
+        return Poses(self.read()[:, :3])
 
     def write(self, bodies: NDArray[np.float64]) -> None:
         """Move every body to a pose and give it a velocity: the inverse of `read`.
@@ -109,11 +111,191 @@ class Simulation:
             body.velocity, body.angular_velocity = (velocity_x, velocity_y), spin
 
 
-@cache
-def compiled() -> tuple[Callable[..., None], Callable[..., None]] | None:
-    """Compiled `substeps` and `read` (module `substeps`); None if `c_functions` returns None."""
-    if (functions := c_functions()) is None:
-        return None
-    from magical.physics.substeps import compiled_substeps, read  # imports numba
+def add_walls(space: pymunk.Space) -> None:
+    """Add four static segments around the workspace."""
+    far = c.WORKSPACE_HALF + c.WALL_DISTANCE
+    corners = ((-far, far), (far, far), (far, -far), (-far, -far))
+    for start, end in zip(corners, corners[1:] + corners[:1], strict=True):
+        wall = pymunk.Segment(space.static_body, start, end, c.WALL_RADIUS)
+        wall.friction = c.WALL_FRICTION
+        space.add(wall)
 
-    return compiled_substeps(functions), read
+
+def add_block(space: pymunk.Space, block: Block, dynamics: Dynamics, group: int) -> pymunk.Body:
+    """Add one block with its surface drag; `group` is a collision group for it alone."""
+    body, shapes = _make(block.shape)
+    body.position, body.angle = block.pose[:2], block.pose.angle
+    for shape in shapes:
+        shape.friction = c.BLOCK_FRICTION
+        shape.filter = pymunk.ShapeFilter(group=group)
+    pivot = pymunk.PivotJoint(space.static_body, body, (0, 0), (0, 0))
+    pivot.max_bias = 0
+    pivot.max_force = dynamics.block_pivot_max_force
+    gear = pymunk.GearJoint(space.static_body, body, 0.0, 1.0)
+    gear.max_bias = 0
+    gear.max_force = dynamics.block_gear_max_force
+    space.add(body, *shapes, pivot, gear)
+    return body
+
+
+def _make(shape: Shape) -> tuple[pymunk.Body, list[pymunk.Shape]]:
+    mass = c.BLOCK_MASS
+    if shape == Shape.CIRCLE:
+        body = pymunk.Body(mass, pymunk.moment_for_circle(mass, 0, c.BLOCK_SIZE))
+        return body, [pymunk.Circle(body, c.BLOCK_SIZE)]
+    outline = block_outline(shape)
+    hull = outline[::2] if shape == Shape.STAR else outline  # for a star, the outer vertices
+    body = pymunk.Body(mass, pymunk.moment_for_poly(mass, hull))
+    if shape == Shape.STAR:
+        return body, [pymunk.Poly(body, part) for part in _star_parts()]
+    margin = c.SQUARE_MARGIN if shape == Shape.SQUARE else 0.0
+    return body, [pymunk.Poly(body, outline, None, margin)]
+
+
+@cache
+def _star_parts() -> list[list[pymunk.Vec2d]]:
+    # Cached: pymunk leaks some 2 kB in every decomposition.
+    outline = list(block_outline(Shape.STAR))
+    return pymunk.autogeometry.convex_decomposition(outline + outline[:1], 0)
+
+
+def add_robot(
+    space: pymunk.Space, pose: Pose, dynamics: Dynamics
+) -> tuple[
+    pymunk.Body,
+    pymunk.Body,
+    pymunk.GearJoint,
+    list[pymunk.Body],
+    list[pymunk.SimpleMotor],
+    list[pymunk.Body],
+]:
+    """Add the robot.
+
+    Returns:
+        Its body, its control body, the gear joint between them, both fingers, their motors, both
+        eyes.
+    """
+    moment = pymunk.moment_for_circle(c.ROBOT_MASS, 0, c.ROBOT_RADIUS)
+    body = pymunk.Body(c.ROBOT_MASS, moment)
+    body.position, body.angle = pose[:2], pose.angle
+    space.add(body)
+    control, gear = _add_drive(space, body, pose, dynamics)
+    eyes = [_add_eye(space, body, pose) for _ in c.SIDES]
+    fingers, motors = zip(
+        *(_add_finger(space, body, side, pose, dynamics) for side in c.SIDES), strict=True
+    )
+    shapes: list[pymunk.Shape] = [pymunk.Circle(body, c.ROBOT_RADIUS)]
+    shapes[0].friction = c.ROBOT_FRICTION
+    for finger, side in zip(fingers, c.SIDES, strict=True):
+        for polygon in finger_polygons(side):
+            shapes.append(pymunk.Poly(finger, polygon))
+            shapes[-1].friction = c.FINGER_FRICTION
+    for shape in shapes:
+        shape.filter = pymunk.ShapeFilter(group=ROBOT_GROUP)
+        space.add(shape)
+    return body, control, gear, list(fingers), list(motors), eyes
+
+
+def _add_drive(
+    space: pymunk.Space, body: pymunk.Body, pose: Pose, dynamics: Dynamics
+) -> tuple[pymunk.Body, pymunk.GearJoint]:
+    control = pymunk.Body(body_type=pymunk.Body.KINEMATIC)
+    control.position, control.angle = pose[:2], pose.angle
+    pivot = pymunk.PivotJoint(control, body, (0, 0), (0, 0))
+    pivot.max_bias = 0
+    pivot.max_force = dynamics.body_pivot_max_force
+    gear = pymunk.GearJoint(control, body, 0.0, 1.0)
+    gear.error_bias = 0
+    gear.max_bias = c.TURN_MAX_BIAS
+    gear.max_force = dynamics.body_gear_max_force
+    space.add(control, pivot, gear)
+    return control, gear
+
+
+def _add_eye(space: pymunk.Space, body: pymunk.Body, pose: Pose) -> pymunk.Body:
+    # The spring's max_force stays unlimited: a limit changes how the robot turns.
+    eye = pymunk.Body(c.EYE_MASS, pymunk.moment_for_circle(c.EYE_MASS, 0, c.ROBOT_RADIUS))
+    eye.position, eye.angle = pose[:2], pose.angle
+    spring = pymunk.DampedRotarySpring(body, eye, 0, c.EYE_SPRING_STIFFNESS, c.EYE_SPRING_DAMPING)
+    space.add(eye, spring)
+    return eye
+
+
+def _add_finger(
+    space: pymunk.Space, body: pymunk.Body, side: int, pose: Pose, dynamics: Dynamics
+) -> tuple[pymunk.Body, pymunk.SimpleMotor]:
+    upper, forearm = finger_polygons(side)
+    # The polygon through both rectangles' vertices in this order crosses itself; the published
+    # moment (0.005006 left, 0.004983 right) is this polygon's.
+    finger = pymunk.Body(c.FINGER_MASS, pymunk.moment_for_poly(c.FINGER_MASS, upper + forearm))
+    root = (side * c.FINGER_ROOT_X, c.FINGER_ROOT_Y)
+    finger.position = finger_position(body, root, pose)
+    finger.angle = pose.angle - side * c.FINGER_OPEN
+    # A pin joint of zero length, as published; a pivot joint grips visibly differently.
+    pin = pymunk.PinJoint(body, finger, root, (0, 0))
+    pin.error_bias = 0
+    limits = (0.0, c.FINGER_OPEN) if side < 0 else (-c.FINGER_OPEN, 0.0)
+    limit = pymunk.RotaryLimitJoint(body, finger, *limits)
+    limit.error_bias = 0
+    motor = pymunk.SimpleMotor(body, finger, 0)
+    motor.max_bias = 0
+    motor.max_force = dynamics.finger_motor_max_force
+    space.add(finger, pin, limit, motor)
+    return finger, motor
+
+
+# The largest power of two that `finger_position` tries: enough for a robot whose coordinates are 0
+# or above 2**-16 units. For others the direction is rounded to about one part in 4096, which
+# matters less than a longer pin.
+_MAX_POWER = 12
+
+
+def published_error(root: Point, pose: Pose) -> Point:
+    """The vector between a pin joint's anchors at the start, as pymunk 5.6.0 computes it.
+
+    Args:
+        root: where the finger is attached, in the robot's frame.
+        pose: the robot's pose.
+
+    Returns:
+        The rounding error of `pose` + rotated `root`, some 1e-17 units; often 0 in a coordinate.
+    """
+    root_x, root_y = rotate(root, pose.angle)
+    finger_x, finger_y = pose.x + root_x, pose.y + root_y
+    return (finger_x - pose.x) - root_x, (finger_y - pose.y) - root_y
+
+
+def finger_position(body: pymunk.Body, root: Point, pose: Pose) -> Point:
+    """The initial position of a finger: its root in the workspace, displaced by some 1e-15 units.
+
+    A pin joint pulls along the line between its anchors. A finger hangs on a pin of zero length, so
+    initially this line is a rounding error, normalised. Chipmunk computes it (cpPinJoint.c) as
+
+        (finger + 0) - (robot + root)
+
+    with the root already rotated, which is exactly (0, 0) for a finger placed at robot + root: the
+    pin has no direction and does not act in the first substep. pymunk 5.6.0, used by the published
+    environments, was compiled with -ffast-math and adds the same terms in the order
+
+        ((finger - robot) + 0) - root
+
+    which is the rounding error of robot + root. Its direction decides how the robot starts to move;
+    the first step differs by some 1e-4 units. Here the finger is displaced by a power of two times
+    that error, which gives the first expression the published direction to the last bit. The
+    smallest power that is a whole number of spacings of floating-point numbers at the finger is
+    used, because the effect of the pin's length, which the published one lacks, grows with it. A
+    pin joint made afterwards takes the displacement as its length and is at rest.
+
+    Args:
+        body: the robot's, already at `pose`.
+        root: where the finger is attached, in the robot's frame.
+        pose: the robot's pose.
+    """
+    x, y = body.local_to_world(root)  # as Chipmunk computes it, which is what the pin subtracts
+    error_x, error_y = published_error(root, pose)
+    for power in range(_MAX_POWER + 1):
+        step_x, step_y = 2**power * error_x, 2**power * error_y
+        start = x + step_x, y + step_y
+        if start[0] - x == step_x and start[1] - y == step_y:
+            break
+    return start

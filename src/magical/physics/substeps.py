@@ -1,12 +1,11 @@
-"""A control step's substeps, and the reading of all bodies, as one compiled call each.
+"""Control steps of any number of simulations as one compiled call.
 
-Bodies, motors and the space are given by their addresses. Values for which Chipmunk has no function
-of plain numbers are read and written in a body's memory, at the indices that `chipmunk` has
-checked. The interpreter's lock is not held, so threads can step different simulations.
+Spaces, bodies and joints are given by their addresses. Values for which Chipmunk has no function of
+plain numbers are read and written in a body's memory, at the indices that `chipmunk` has checked.
+The interpreter's lock is not held, so threads can step different simulations.
 """
 
 import math
-from collections.abc import Callable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,57 +19,81 @@ from magical.compiled.jit import (
     nogil_entry_point,
     store_float,
 )
-from magical.physics.chipmunk import ANGLE, POSITION, SPIN, VELOCITY
-from magical.physics.robot import motor_rate
+from magical.physics.chipmunk import ANGLE, C_FUNCTIONS, POSITION, SIGNATURES, SPIN, VELOCITY
 from magical.scene import constants as c
 
-rate = inlined(motor_rate)
+step_space, set_angle, set_motor_rate, set_max_bias = (
+    c_function(name, C_FUNCTIONS[name], ADDRESS, FLOAT) for name in SIGNATURES
+)
 
 
-def compiled_substeps(addresses: Mapping[str, int]) -> Callable[..., None]:
-    """The substeps of `Simulation.step`, compiled, with the C functions at these addresses."""
-    step_space, set_angle, set_motor_rate = (
-        c_function(name, addresses[name], ADDRESS, FLOAT)
-        for name in ("cpSpaceStep", "cpBodySetAngle", "cpSimpleMotorSetRate")
-    )
-
-    @nogil_entry_point
-    def substeps(
-        space: int,
-        body: int,
-        control: int,
-        left: int,
-        right: int,
-        left_motor: int,
-        right_motor: int,
-        speed: float,
-        lead: float,
-        target: float,
-    ) -> None:
-        for _ in range(c.SUBSTEPS):
-            angle = load_float(body, ANGLE)
-            set_angle(control, angle + lead)
-            store_float(control, VELOCITY, -math.sin(angle) * speed)
-            store_float(control, VELOCITY + 1, math.cos(angle) * speed)
-            set_motor_rate(left_motor, rate(load_float(left, ANGLE) - angle - target))
-            set_motor_rate(right_motor, rate(load_float(right, ANGLE) - angle + target))
-            step_space(space, c.SUBSTEP_TIME)
-
-    return substeps
+@inlined
+def motor_rate(error: float) -> float:
+    """A finger motor's rate (rad / s) for a finger `error` radians from its target."""
+    rate = c.FINGER_GAIN * error
+    if rate >= c.FINGER_MAX_RATE:
+        return c.FINGER_MAX_RATE
+    if rate <= -c.FINGER_MAX_RATE:
+        return -c.FINGER_MAX_RATE
+    return rate if abs(rate) >= c.FINGER_DEAD_RATE else 0.0
 
 
-@nogil_entry_point
-def read(addresses: NDArray[np.int64], out: NDArray[np.float64]) -> None:
-    """Write poses and velocities of bodies.
-
-    Args:
-        addresses: (bodies, 2): of the bodies that the position and the angle are taken from.
-        out: (bodies, 6): x, y, angle and their velocities.
-    """
-    for i in range(len(addresses)):
-        place, turn = addresses[i, 0], addresses[i, 1]
+@inlined
+def read_bodies(places: NDArray[np.int64], out: NDArray[np.float64]) -> None:
+    """Read poses and velocities (most, 6) of the bodies at addresses (most, 2); 0 ends these."""
+    for i in range(len(places)):
+        place, turn = places[i, 0], places[i, 1]
+        if place == 0:
+            break
         for k in range(2):
             out[i, k] = load_float(place, POSITION + k)
             out[i, 3 + k] = load_float(place, VELOCITY + k)
         out[i, 2] = load_float(turn, ANGLE)
         out[i, 5] = load_float(turn, SPIN)
+
+
+@nogil_entry_point
+def read_one(places: NDArray[np.int64], out: NDArray[np.float64]) -> None:
+    """Read all bodies of one simulation."""
+    read_bodies(places, out)
+
+
+@nogil_entry_point
+def step_rows(
+    rows: NDArray[np.int64],
+    robots: NDArray[np.int64],
+    places: NDArray[np.int64],
+    actions: NDArray[np.float64],
+    out: NDArray[np.float64],
+) -> None:
+    """Take a control step in some of N simulations, and read their bodies.
+
+    Args:
+        rows: (R,): which simulations.
+        robots: (N, 8): addresses of the space, the robot's body, its control body, the gear joint
+            between them, the fingers and their motors.
+        places: (N, most, 2): of the bodies that each row's position and angle are read from.
+        actions: (N, 3): drive, turn and grip, each from -1 to 1.
+        out: (N, most, 6): x, y, angle and their velocities.
+    """
+    for row in rows:
+        space, body, control, gear = robots[row, 0], robots[row, 1], robots[row, 2], robots[row, 3]
+        left, right, left_motor, right_motor = robots[row, 4:]
+        drive, turn, grip = actions[row]
+        speed = drive * (c.DRIVE_SPEED_FORWARD if drive > 0.0 else -c.DRIVE_SPEED_BACK)
+        target = c.FINGER_OPEN * (1.0 - grip) / 2.0
+        # The joint turns the robot as fast as its limit allows whenever the control body is ahead
+        # by more than a few hundredths, so a fraction of full turning scales the limit.
+        lead, limit = 0.0, c.TURN_MAX_BIAS
+        if turn != 0.0:
+            lead, limit = math.copysign(c.TURN_LEAD, turn), abs(turn) * c.TURN_MAX_BIAS
+        set_max_bias(gear, limit)
+        for _ in range(c.SUBSTEPS):
+            angle = load_float(body, ANGLE)
+            set_angle(control, angle + lead)
+            store_float(control, VELOCITY, -math.sin(angle) * speed)
+            store_float(control, VELOCITY + 1, math.cos(angle) * speed)
+            set_motor_rate(left_motor, motor_rate(load_float(left, ANGLE) - angle - target))
+            set_motor_rate(right_motor, motor_rate(load_float(right, ANGLE) - angle + target))
+            step_space(space, c.SUBSTEP_TIME)
+        read_bodies(places[row], out[row])

@@ -3,8 +3,8 @@
 - `map_in_processes` maps a function over items in several processes; `outcomes_in_processes` yields
   exceptions too.
 - `ProcessPool` takes tasks one at a time, and gives their results in any order.
-- `Child` is a single child process, for uses that need more than that (the vector environment), and
-  `serve` is its side of the pipes.
+- `Child` is a single child process, for uses that need more than that, and `serve` is its side of
+  the pipes.
 """
 
 from magical.processes.channel import WorkerTraceback, serve

@@ -5,7 +5,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any
@@ -30,7 +30,6 @@ class Child:
     Args:
         module: the module's name.
         name: what error messages call the child.
-        inherited: file descriptors to keep open in the child (not on Windows).
         environ: environment variables, in addition to this process's.
 
     Attributes:
@@ -43,7 +42,6 @@ class Child:
         self,
         module: str,
         name: str,
-        inherited: Sequence[int] = (),
         environ: Mapping[str, str] = {},
     ) -> None:
         self.name = name
@@ -51,7 +49,7 @@ class Child:
         setup = {"module": module, "path": [str(Path(entry).absolute()) for entry in entries]}
         read_end, write_end = _lifeline()
         try:
-            self.process = _start(setup, read_end, inherited, environ)
+            self.process = _start(setup, read_end, environ)
         except BaseException:
             os.close(write_end)
             raise
@@ -121,7 +119,7 @@ def above_standard(descriptor: int) -> int:
 
 
 def _start(
-    setup: dict[str, Any], lifeline: int, inherited: Sequence[int], environ: Mapping[str, str]
+    setup: dict[str, Any], lifeline: int, environ: Mapping[str, str]
 ) -> "subprocess.Popen[bytes]":
     platform: dict[str, Any]
     # A process group of its own keeps a terminal's Ctrl-C away while the interpreter starts.
@@ -135,7 +133,7 @@ def _start(
             "startupinfo": subprocess.STARTUPINFO(lpAttributeList={"handle_list": [lifeline]}),
         }
     else:
-        platform = {"process_group": 0, "pass_fds": (lifeline, *inherited)}
+        platform = {"process_group": 0, "pass_fds": (lifeline,)}
     return subprocess.Popen(
         # -P: the folder of the file that is run is not put on `sys.path`.
         [sys.executable, "-P", str(_START), json.dumps({**setup, "lifeline": lifeline})],

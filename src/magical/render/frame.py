@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.compiled.jit import entry_point, inlined, integer, merged, rint
+from magical.compiled.jit import inlined, integer, merged, nogil_entry_point, rint
 from magical.render.canvas import Canvas, cover, finish_bodies, finish_ground, pack, paint
 from magical.render.display import FURTHEST
 from magical.render.lines import outline, round_up
@@ -132,7 +132,7 @@ def _copy(source: Pixels, target: Pixels) -> None:
 def compiled_render(samples: int) -> Callable[..., int]:
     """The entry point for samples x samples samples per pixel (1, 2 or 4 across)."""
 
-    @entry_point
+    @nogil_entry_point
     def render(
         bodies: Floats,
         vertices: Floats,

@@ -5,14 +5,14 @@ import sys
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.compiled.jit import entry_point
+from magical.compiled.jit import nogil_entry_point
 
 CHANNELS = 3
 
 Stack = NDArray[np.uint8]
 
 
-@entry_point
+@nogil_entry_point
 def store(pixels: NDArray[np.int32], out: NDArray[np.uint8]) -> None:
     """Write pixels, lowest row first, into `out` (height, width, 3), highest row first."""
     height, width = out.shape[0], out.shape[1]
@@ -25,7 +25,7 @@ def store(pixels: NDArray[np.int32], out: NDArray[np.uint8]) -> None:
             out[y, x, 2] = colour >> 16
 
 
-@entry_point
+@nogil_entry_point
 def push_four(pixels: NDArray[np.int32], stack: NDArray[np.uint32]) -> None:
     """Drop the oldest of a stack's four frames, and add the newest, in one pass.
 

@@ -1,6 +1,7 @@
 """The renderer: frames of scenes, for the rest of the package."""
 
 from functools import lru_cache
+from threading import get_ident
 from typing import Any
 
 import numpy as np
@@ -25,7 +26,10 @@ from magical.scene.vocabulary import View, parse_word
 
 Image = NDArray[np.uint8]
 
-_working_memory = lru_cache(maxsize=16)(working_memory)
+
+@lru_cache(maxsize=64)
+def _working_memory(_thread: int, *shape: int) -> tuple[NDArray[Any], ...]:
+    return working_memory(*shape)
 
 
 def default_samples(size: int) -> int:
@@ -80,9 +84,9 @@ class Renderer:
         self._display = display_list(scene)
         self._bodies = np.empty((FIRST_BLOCK + len(scene.blocks), 3))
         self._pixels = np.empty(size * size, np.int32)
-        memory = self._memory(1 + len(scene.regions), whole_dashes)
-        mode = EGO if self.view == View.EGO else ALLO
-        self._arguments = (*self._display, *memory, size, mode, whole_dashes)
+        self._layers, self._whole_dashes = 1 + len(scene.regions), whole_dashes
+        self._frames = np.empty((len(self._bodies) + 1, 4))
+        self._own = self._fixed_ground() if self.view == View.ALLO else None
 
     def render(self, bodies: NDArray[np.float64], out: Image) -> None:
         """Write the frame into `out`, which may be a view of any layout, such as a stack's end.
@@ -131,29 +135,37 @@ class Renderer:
                 f"one for each block, found an array {bodies.shape}"
             )
         mine[:] = bodies[:, :3]
-        if self._compiled(mine, *self._arguments) < 0:
+        pixels = self._pixels
+        if self._own is None:  # the pixels are also the ground
+            memory = pixels, pixels, np.empty(0, np.int32), *self._shared()
+        else:
+            ground, kept, tiles = self._own
+            memory = ground, pixels, kept, tiles, *self._shared()[1:]
+        if self._render(memory, EGO if self._own is None else ALLO) < 0:
             raise RenderError(
                 f"expected finite poses within {FURTHEST:g} units, found {quoted(mine.tolist())}"
             )
 
-    def _memory(self, layers: int, whole_dashes: bool) -> tuple[NDArray[Any], ...]:
-        """The arrays that a frame is rendered in (`canvas.Canvas`, `frame.compiled_render`).
+    def _shared(self) -> tuple[NDArray[Any], ...]:
+        """Working memory (`canvas.Canvas`), shared by all renderers of a thread.
 
-        In the egocentric view, the pixels are also the ground. The allocentric camera does not
-        move: its ground is rendered here and kept, with its finished pixels. Working memory is
-        shared by all renderers, even across threads: compiled code holds the interpreter's lock,
-        and one call leaves nothing in shared memory that another needs.
+        One call leaves nothing in it that another needs.
         """
-        pixels = self._pixels
-        frames = np.empty((len(self._bodies) + 1, 4))
-        tiles, *shared = _working_memory(self.size, self.samples, layers)
-        if self.view == View.EGO:
-            return pixels, pixels, np.empty(0, np.int32), tiles, *shared, frames
-        ground, tiles, bodies = np.empty_like(pixels), np.empty_like(tiles), self._bodies
-        bodies[:] = 0.0
-        memory = ground, pixels, np.empty(0, np.int32), tiles, *shared, frames
-        count = self._compiled(bodies, *self._display, *memory, self.size, GROUND, whole_dashes)
-        return ground, pixels, pixels.copy(), tiles[:count].copy(), *shared, frames
+        return _working_memory(get_ident(), self.size, self.samples, self._layers)
+
+    def _fixed_ground(self) -> tuple[NDArray[Any], ...]:
+        """The allocentric ground with its finished pixels and tiles: that camera does not move."""
+        ground = np.empty_like(self._pixels)
+        tiles, *shared = self._shared()
+        tiles = np.empty_like(tiles)
+        self._bodies[:] = 0.0
+        memory = ground, self._pixels, np.empty(0, np.int32), tiles, *shared
+        count = self._render(memory, GROUND)
+        return ground, self._pixels.copy(), tiles[:count].copy()
+
+    def _render(self, memory: tuple[NDArray[Any], ...], mode: int) -> int:
+        settings = self.size, mode, self._whole_dashes
+        return self._compiled(self._bodies, *self._display, *memory, self._frames, *settings)
 
 
 def render_frame(

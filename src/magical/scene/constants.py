@@ -75,7 +75,3 @@ MAX_BLOCKS, MAX_REGIONS = 100, 30
 
 # Limit for scenes and poses, in units and radians; beyond it, the solver's results are not numbers.
 MAX_COORDINATE = 1e3
-
-# Limit for shifts of initial poses, in units and radians; larger ones are visible, and are what the
-# Jitter variant is for.
-MAX_NUDGE = 0.01

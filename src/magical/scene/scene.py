@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -179,22 +179,6 @@ class Scene:
             raise InvalidSceneError(
                 f"scene: expected numbers up to {MAX_COORDINATE:g}, found {furthest:g}"
             )
-
-    def nudged(self, amount: float, rng: np.random.Generator) -> "Scene":
-        """The scene with robot and blocks shifted and turned by uniform samples.
-
-        Args:
-            amount: the largest shift of each coordinate, in workspace units, and of each angle, in
-                radians.
-            rng: samples three numbers for the robot, then three for each block.
-        """
-
-        def nudge(pose: Pose) -> Pose:
-            return Pose(*(pose + rng.uniform(-amount, amount, size=3)).tolist())
-
-        robot = nudge(self.robot)
-        blocks = tuple(replace(block, pose=nudge(block.pose)) for block in self.blocks)
-        return replace(self, robot=robot, blocks=blocks)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for JSON, from which `from_dict` makes an equal scene.

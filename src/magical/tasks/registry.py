@@ -2,6 +2,7 @@
 
 import importlib
 import pkgutil
+import sys
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from difflib import get_close_matches
@@ -21,6 +22,7 @@ Result = TypeVar("Result")
 GROUP = "magical.tasks"  # of entry points, each named like its task
 
 _tasks: dict[str, Task] = {}
+_own: set[str] = set()  # the names of this package's
 _imported_from: dict[str, str] = {}  # the module by whose import a task was registered
 
 
@@ -163,9 +165,29 @@ def import_tasks(name: str) -> None:
     _imported_from.update(dict.fromkeys(set(_tasks) - known, module.__name__))
 
 
-def registering_module(task: str) -> str | None:
-    """The module that registered a task when the user imported it, if there is one."""
-    return _imported_from.get(task)
+def defining_modules(tasks: Iterable[Task]) -> list[str]:
+    """The modules that a new process must import to have tasks from outside the package.
+
+    The process finds tasks of entry points on its own. Raises `InvalidTaskError` for any other task
+    that no importable module holds.
+    """
+    known = {**plugins(GROUP), **dict.fromkeys(_own)}
+    others = [task for task in tasks if not is_generated(task.name) and task.name not in known]
+    return sorted(set(map(_defining_module, others)))
+
+
+def _defining_module(task: Task) -> str:
+    for name, module in list(sys.modules.items()):
+        held = list(getattr(module, "__dict__", {}).values())
+        if name not in ("__main__", "__mp_main__") and any(value is task for value in held):
+            return name
+    if task.name in _imported_from:
+        return _imported_from[task.name]
+    raise InvalidTaskError(
+        f"task {task.name}: other processes import tasks by themselves, and no importable module "
+        "holds this one (the main script is never imported); give it a name in a module, or use "
+        "workers=1"
+    )
 
 
 def with_tasks(work: Callable[[Item], Result], modules: Iterable[str]) -> Callable[[Item], Result]:
@@ -184,6 +206,7 @@ def discover(package: str, path: Iterable[str]) -> None:
     modules = [importlib.import_module(name) for name in names]
     tasks = [module.TASK for module in modules if hasattr(module, "TASK")]
     for task in sorted(tasks, key=lambda task: (not task.section, task.section, task.name)):
+        _own.add(task.name)
         _tasks[task.name] = task  # without importing another distribution's task of this name
 
 

@@ -132,18 +132,6 @@ class Task:
                 return scene, Dynamics.sample(rng) if Axis.DYNAMICS in axes else Dynamics()
         raise PlacementError(f"{self.name}, {variant}: none of {MAX_SCENES} scenes fits: {problem}")
 
-    def nudge(self, scene: Scene, size: float, rng: np.random.Generator) -> Scene:
-        """A scene whose initial poses are shifted by at most `size` units and radians.
-
-        Raises:
-            PlacementError: none of `MAX_SCENES` such scenes fits the task.
-        """
-        for _ in range(MAX_SCENES):
-            nudged = scene.nudged(size, rng)
-            if not (problem := self.validate_fn(nudged)):
-                return nudged
-        raise PlacementError(f"{self.name}: none of {MAX_SCENES} nudged scenes fits: {problem}")
-
     def score(self, scene: Scene, poses: Poses) -> float:
         """The appendix's score, 0 to 1, of the poses at the end of an episode from `scene`."""
         return self.score_fn(scene, poses)
@@ -167,8 +155,8 @@ class Task:
             return self.summary
         return instruction(self.program, scene, paraphrase=paraphrase, attributes=attributes)
 
-    def validate(self, scene: Scene, nudge: float = 0.0) -> None:
-        """Check that an episode of this task can start from a scene nudged by at most `nudge`.
+    def validate(self, scene: Scene) -> None:
+        """Check that an episode of this task can start from a scene.
 
         Raises:
             InvalidSceneError: it cannot; the message says why and what to change.
@@ -179,6 +167,6 @@ class Task:
                 f"{self.name}: expected at most {self.max_blocks} blocks and {self.max_regions} "
                 f"regions, found {found[0]} and {found[1]}; remove some"
             )
-        validate_scene(scene, nudge)
+        validate_scene(scene)
         if problem := self.validate_fn(scene):
             raise InvalidSceneError(f"{self.name}: {problem}")

@@ -30,23 +30,19 @@ def named_regions(scene: Scene) -> dict[str, Solid]:
     return {f"region {i} ({r.colour})": Solid.of_region(r) for i, r in enumerate(scene.regions)}
 
 
-def validate_scene(scene: Scene, nudge: float = 0.0) -> None:
+def validate_scene(scene: Scene) -> None:
     """Check that no bodies overlap and that everything is within the workspace.
 
-    Bodies may overlap by `OVERLAP_SLACK` and reach into walls by `WALL_SLACK`, plus what a nudge
-    can add. Blocks and robot may be in regions, which have no physical effect.
-
-    Args:
-        scene: the scene.
-        nudge: by how much it may have been nudged, in units and radians (`Scene.nudged`).
+    Bodies may overlap by `OVERLAP_SLACK` and reach into walls by `WALL_SLACK`. Blocks and robot may
+    be in regions, which have no physical effect.
 
     Raises:
         InvalidSceneError: the message names the bodies and the depth of the overlap, in units.
     """
     bodies = named_bodies(scene)
-    check_inside(bodies, WALL_SLACK + 2 * nudge)  # a shift, and a turn at a radius below 1 unit
+    check_inside(bodies, WALL_SLACK)
     check_inside(named_regions(scene), ROUNDING)
-    check_apart(combinations(bodies.items(), 2), OVERLAP_SLACK + 4 * nudge)
+    check_apart(combinations(bodies.items(), 2), OVERLAP_SLACK)
 
 
 def check_inside(solids: dict[str, Solid], slack: float) -> None:

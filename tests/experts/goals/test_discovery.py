@@ -24,6 +24,7 @@ from magical.experts import (
 from magical.experts.goals import _file, _registered
 from magical.experts.goals._programs import program_planner
 from magical.physics import Simulation
+from magical.scene.actions import POINTS
 from magical.tasks import TASKS, get_task, register_task, unregister_task
 from magical.tasks.programs import Together
 from tests.experts.scenes import state_of
@@ -87,5 +88,5 @@ def test_a_task_from_outside_gets_its_expert(drive_there: str) -> None:
     simulation, expert, memory = Simulation(scene), expert_for(drive_there, seed=0), None
     for _ in range(40):
         action, memory = expert.act(state_of(simulation, scene), memory)
-        simulation.step(action)
+        simulation.step(POINTS[action])
     assert np.hypot(*(simulation.poses().bodies[0, :2] - 0.5)) < 0.2

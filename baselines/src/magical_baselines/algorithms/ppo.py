@@ -11,13 +11,13 @@ One update:
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, NamedTuple, Self, cast
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
-from magical.envs.episode import Reward
+from magical.envs.env import Reward
 from magical.errors import InvalidConfigError
 from magical.observe import STATE
 from magical.plugins import is_plugin
@@ -172,7 +172,7 @@ class PPOConfig(ReinforcementConfig):
 
 def train(config: PPOConfig, run: Run) -> None:
     """Maximise the environment's reward."""
-    with PPOTrainer(config, run, cast(Reward, config.reward)) as ppo:
+    with PPOTrainer(config, run, config.reward) as ppo:
         for update in ppo.remaining_updates():
             rollout = ppo.collect_rollout(update)
             metrics = ppo.improve_policy(update, rollout, rollout.rewards)

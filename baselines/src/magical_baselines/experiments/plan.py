@@ -15,9 +15,9 @@ from typing import Annotated, Any
 
 from msgspec import Meta
 
-from magical.envs.episode import checked_nudge
 from magical.errors import MagicalError, PlanError, PluginError
 from magical.evaluation import BUILT_IN
+from magical.evaluation.noise import checked_noise
 from magical.evaluation.protocol import ROLLOUTS, Evaluation, environments
 from magical.experts import get_planner
 from magical.experts.noise import check_share
@@ -126,7 +126,7 @@ class Plan:
     def __post_init__(self) -> None:
         with _plan_errors():
             check_share("perturb", self.perturb)
-            checked_nudge(self.nudge)
+            checked_noise(self.nudge)
             object.__setattr__(self, "horizon", parse_horizon(self.horizon))
         with _plan_errors("tasks: "):
             for name in self.tasks:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from magical.envs import EnvId
-from magical.envs.episode import Reward
+from magical.envs.env import Reward
 from magical.envs.seeds import sample_training_seeds
 from magical.envs.vector import MagicalVectorEnv
 from magical.observe import ObservationSpec

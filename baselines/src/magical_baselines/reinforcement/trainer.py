@@ -8,7 +8,7 @@ import numpy as np
 from torch.optim import Adam
 
 from magical.envs import EnvId
-from magical.envs.episode import Reward
+from magical.envs.env import Reward
 from magical.evaluation.protocol import Evaluation
 from magical.evaluation.rollouts import RepeatedEvaluation
 from magical_baselines.models import PolicyNetwork

@@ -23,7 +23,7 @@ from magical.demos.store.dataset import Dataset
 from magical.demos.store.reader import Frames
 from magical.demos.store.trajectory import VIEWS, Trajectory
 from magical.envs.action_spec import Actions, ActionSpaceName
-from magical.envs.env import Instruction, names_attributes
+from magical.envs.env import Instruction
 from magical.errors import DatasetError
 from magical.scene.actions import PARTS
 from magical.scene.constants import CONTROL_RATE, FRAME_SIZE
@@ -95,7 +95,7 @@ def export_lerobot(
     folder.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".part-") as temporary:
         root = Path(temporary) / folder.name
-        writer = _Writer(root, dataset, action_space, names_attributes(instruction))
+        writer = _Writer(root, dataset, action_space, instruction == "attributes")
         with writer.files:
             for trajectory in dataset:
                 writer.add(trajectory)

@@ -19,9 +19,8 @@ import magical
 from magical.demos.store.dataset import Dataset
 from magical.demos.store.reader import observations
 from magical.demos.store.trajectory import Trajectory
-from magical.envs import EnvId
+from magical.envs import EnvId, env_spec
 from magical.envs.action_spec import DISCRETE, ActionSpaceName, ActionSpec, action_spec
-from magical.envs.registration import env_spec
 from magical.errors import DatasetError, UnknownNameError
 from magical.extras import require
 from magical.observe import PRESETS

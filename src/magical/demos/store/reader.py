@@ -112,9 +112,8 @@ class TrajectorySource:
             return estimated_states(trajectory)
         simulation = Simulation(trajectory.scene, trajectory.dynamics)
         states = [simulation.read()]
-        for time, action in enumerate(trajectory.actions.tolist(), 1):
-            simulation.step(action)
-            states.append(simulation.read())
+        for time, point in enumerate(CONTINUOUS.convert(trajectory.actions), 1):
+            states.append(simulation.step(point))
             if not np.array_equal(states[-1][:, :3], trajectory.poses[time]):
                 raise TrajectoryError(
                     f"{trajectory.env_id}: the simulation departs from the recorded poses at step "
@@ -223,8 +222,9 @@ def estimated_states(trajectory: Trajectory) -> NDArray[np.float64]:
     assert trajectory.poses is not None
     follower = PoseFollower(trajectory.scene, trajectory.dynamics)
     states = [follower.states]
-    for action, bodies in zip(trajectory.actions.tolist(), trajectory.poses[1:], strict=True):
-        follower.predict(action)
+    points = CONTINUOUS.convert(trajectory.actions)
+    for point, bodies in zip(points, trajectory.poses[1:], strict=True):
+        follower.predict(point)
         follower.correct(bodies)
         states.append(follower.states)
     return np.stack(states)

@@ -23,7 +23,7 @@ from magical.envs.ids import EnvId, parse_env_id
 from magical.errors import InvalidActionError, TrajectoryError
 from magical.messages import quoted
 from magical.scene import Dynamics, Poses, Scene, View
-from magical.scene.constants import FRAME_SIZE, MAX_NUDGE
+from magical.scene.constants import FRAME_SIZE
 from magical.scene.poses import FIRST_BLOCK
 from magical.tasks import Task
 from magical.untrusted import MAX_BITS, check_plain
@@ -88,7 +88,7 @@ class Trajectory:
     def __post_init__(self) -> None:
         put = partial(object.__setattr__, self)
         put("env_id", parse_env_id(self.env_id).without_preset)
-        self.task.validate(self.scene, MAX_NUDGE)
+        self.task.validate(self.scene)
         put("actions", checked_actions("actions", self.actions, np.ndim(self.actions)))
         published = checked_score("published_code_score", self.published_code_score)
         put("published_code_score", published)
@@ -140,7 +140,7 @@ class Trajectory:
             table, more["velocities"] = np.split(table, 2, axis=2)
         parsed, last = parse_env_id(env_id), Poses(table[-1])
         task = parsed.task_spec
-        task.validate(scene, MAX_NUDGE)
+        task.validate(scene)
         return Trajectory(
             env_id=parsed,
             scene=scene,

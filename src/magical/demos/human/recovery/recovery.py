@@ -13,7 +13,7 @@ from magical.demos.motion import PoseFollower
 from magical.demos.store.trajectory import RECOVERY, Trajectory
 from magical.render import Renderer
 from magical.render.frame import VIEW_WIDTH
-from magical.scene import Poses, Scene, View
+from magical.scene import Poses, Scene, View, to_continuous
 from magical.scene.constants import BLOCK_SIZE, RAW_FRAME_SIZE, STAR_OUTER_RADIUS
 from magical.scene.poses import EYES, FINGERS, FIRST_BLOCK, ROBOT
 
@@ -157,7 +157,7 @@ class Tracker:
 
     def follow(self, action: int, frames: ViewFrames) -> Moment:
         """The next time step, reached by an action."""
-        predicted = self._follower.predict(action)
+        predicted = self._follower.predict(to_continuous(action))
         discs = self._fitter.discs
         predicted[discs, 2] = self._bodies[discs, 2]
         if all(np.array_equal(frames[view], self._frames[view]) for view in View):

@@ -1,0 +1,502 @@
+"""Gymnasium's vector environment: many environments, stepped together by threads."""
+
+import operator
+import os
+import sys
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
+from contextlib import contextmanager, suppress
+from typing import Any
+
+import numpy as np
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from magical.envs.action_spec import ActionSpaceName, action_spec
+from magical.envs.env import (
+    RENDER_MODES,
+    SCORE_KEYS,
+    SUCCESS,
+    Instruction,
+    MagicalEnv,
+    Reward,
+    known,
+    time_limit_error,
+)
+from magical.envs.ids import EnvId, parse_env_id
+from magical.errors import (
+    InvalidSceneError,
+    MismatchedSpacesError,
+    ResetNeededError,
+    UnknownNameError,
+)
+from magical.messages import quoted
+from magical.observe import Observation
+from magical.observe.arrays import assign, copy_arrays, gather, map_arrays, select
+from magical.processes import checked_workers
+from magical.scene.poses import FIRST_BLOCK, State
+from magical.tasks import Horizon
+
+Bools = NDArray[np.bool_]
+Rows = NDArray[np.int64]
+Infos = dict[str, Any]
+
+
+class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
+    """N sub-environments, of one or of several tasks and variants, stepped together.
+
+    Sub-environment i behaves, to the last bit, like a `MagicalEnv` for `env_ids[i]` with the same
+    reset seed and the same actions, whatever the number of workers. Observations
+    are batched as Gymnasium batches them; `infos` holds `eval_score`, `published_code_score` and
+    `is_success`, 0.0 and False before an episode's last step, as arrays with their masks, and the
+    `instruction` of each sub-environment that starts an episode.
+
+    Args:
+        env_ids: the sub-environments' ids, with or without a preset.
+        workers: threads that the sub-environments are divided among, one of which is the caller's;
+            None takes one for each core. More than about four gain little, because what is Python
+            is done by one at a time: on more cores, start several processes.
+        observation: see `observe.make_spec`; takes precedence over the ids' preset.
+        horizon: as for `MagicalEnv`.
+        reward: as for `MagicalEnv`.
+        instruction: as for `MagicalEnv`.
+        action_space: as for `MagicalEnv`.
+        autoreset_mode: what happens after an episode's last step, an `AutoresetMode` or its value.
+            "NextStep": the next step ignores the action and starts another episode. "SameStep":
+            that step already returns the next episode's first observation; the last observation
+            and scores are in `infos["final_obs"]` and `infos["final_info"]`. "Disabled": nothing,
+            until `reset(seed=..., options={"reset_mask": ended})`.
+        copy: whether the caller owns returned observations; otherwise they are the environment's
+            own arrays, which the next step or reset overwrites.
+        render_mode: "rgb_array" or None.
+
+    Raises:
+        UnknownNameError: an unknown id, observation, reward, instruction, action space, autoreset
+            mode or render mode.
+        ValueError: no ids, or an invalid number of workers.
+        InvalidConfigError, ObservationError: an invalid horizon or observation.
+        MismatchedSpacesError: sub-environments whose observation spaces differ.
+    """
+
+    def __init__(
+        self,
+        env_ids: Sequence[str],
+        *,
+        workers: int | None = None,
+        observation: Observation = None,
+        horizon: Horizon = None,
+        reward: Reward = "none",
+        instruction: Instruction = "attributes",
+        action_space: ActionSpaceName = "discrete",
+        autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
+        copy: bool = True,
+        render_mode: str | None = None,
+    ) -> None:
+        if isinstance(env_ids, str) or not (env_ids := tuple(env_ids)):
+            raise ValueError(
+                f"env_ids: expected a list of environment ids, found {quoted(env_ids)}"
+            )
+        parsed = list(map(parse_env_id, env_ids))
+        self.env_ids = tuple(env_id.without_preset for env_id in parsed)
+        self.num_envs = count = len(parsed)
+        self.workers = min(max(1, checked_workers(workers)), count)
+        self.autoreset_mode = _autoreset_mode(autoreset_mode)
+        self.metadata = {**MagicalEnv.metadata, "autoreset_mode": self.autoreset_mode}
+        self.render_mode = known("render mode", render_mode, RENDER_MODES)
+        chosen = _common_preset(parsed) if observation is None else observation
+        self.envs = [
+            MagicalEnv(
+                env_id.task,
+                env_id.variant,
+                observation=chosen,
+                horizon=horizon,
+                reward=reward,
+                render_mode=render_mode,
+                instruction=instruction,
+                action_space=action_space,
+            )
+            for env_id in parsed
+        ]
+        _check_spaces(self.envs)
+        self.action_spec = action_spec(action_space)
+        self.single_action_space = self.action_spec.space
+        self.action_space = batch_space(self.single_action_space, count)
+        self.single_observation_space = self.envs[0].observation_space
+        self.observation_space = batch_space(self.single_observation_space, count)
+        spec = self.envs[0].observation_spec
+        self._observations = gather(
+            {name: np.zeros((count, *shape), dtype) for name, (shape, dtype) in spec.fields.items()}
+        )
+        for row, env in enumerate(self.envs):
+            env.observer = spec.observer(select(self._observations, row))
+        self._copies: list[_Copy] | None = [] if copy else None
+        # For `substeps.step_rows`: a row is written when its episode starts.
+        most = FIRST_BLOCK + max(env.task.max_blocks for env in self.envs)
+        self._robots = np.zeros((count, 8), np.int64)
+        self._places = np.zeros((count, most, 2), np.int64)
+        self._bodies = np.zeros((count, most, 6))
+        self._counts = np.zeros(count, np.int64)
+        self._ended = np.zeros(count, np.bool_)  # the episode is over
+        self._threads: tuple[int, ThreadPoolExecutor] | None = None  # of which process
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[Any, Infos]:
+        """Start an episode in every sub-environment, or where `options["reset_mask"]` is True.
+
+        Args:
+            seed: sub-environment i gets `seed + i`, or `seed[i]` of a list; None continues with
+                each one's own random generator.
+            options: `reset_mask`, bool (N,); `scene` and `dynamics` as for `MagicalEnv`, or a list
+                of N of them.
+
+        Returns:
+            All observations, and `infos` masked to the sub-environments that were reset.
+
+        Raises:
+            InvalidSceneError, PlacementError: no episode can start from these.
+        """
+        chosen = dict(options or {})
+        mask = self._checked_mask("reset_mask", chosen.pop("reset_mask", None))
+        seeds = _checked_seeds(seed, self.num_envs)
+        super().reset(seed=seed if isinstance(seed, int) else None)
+        rows = np.flatnonzero(mask).tolist()
+        words = {
+            row: self._start(
+                row, seeds[row], {key: _of_row(value, row) for key, value in chosen.items()}
+            )
+            for row in rows
+        }
+        infos = _score_infos(np.zeros((2, self.num_envs)), mask)
+        return self._hand_out(None), infos | self._instructions(words)
+
+    def step(
+        self, actions: Any, active: Bools | None = None
+    ) -> tuple[Any, NDArray[np.float64], Bools, Bools, Infos]:
+        """Act in every sub-environment for one control step of 1/8 s.
+
+        Args:
+            actions: integers (N,), each from 0 to 17; continuous ones (N, 3), each from -1 to 1.
+            active: bool (N,); where it is False nothing changes, and `infos` masks the
+                sub-environment out. By default all are active.
+
+        Raises:
+            InvalidActionError: actions of a wrong shape, type or range; nothing has changed.
+            ResetNeededError: a sub-environment has no running episode; nothing has changed.
+        """
+        acting = self._checked_mask("active", active)
+        disabled = self.autoreset_mode is AutoresetMode.DISABLED
+        self._require_episodes("step", acting, self._ended if disabled else None)
+        points = self.action_spec.points(actions, self.num_envs)
+        try:
+            return self._step(points, acting)
+        except BaseException:
+            self._counts[:] = 0  # some have taken the step and others have not: all need a reset
+            raise
+
+    def _step(
+        self, points: NDArray[np.float64], acting: Bools
+    ) -> tuple[Any, NDArray[np.float64], Bools, Bools, Infos]:
+        copy = self._free_copy()
+        advancing = np.flatnonzero(acting & ~self._ended)
+        self._advance(points, advancing, copy)
+        rewards, scores = np.zeros(self.num_envs), np.zeros((2, self.num_envs))
+        truncations = np.zeros(self.num_envs, np.bool_)
+        for row in advancing.tolist():
+            env = self.envs[row]
+            with self._naming(row):
+                rewards[row], found = env.outcome()
+            if not env.is_running:
+                truncations[row], scores[:, row] = True, (found.score, found.published_code)
+        same_step = self.autoreset_mode is AutoresetMode.SAME_STEP
+        infos = self._infos(scores, acting, truncations, same_step)
+        restarting = truncations if same_step else acting & self._ended
+        if not same_step:
+            self._ended |= truncations
+        words = {row: self._start(row) for row in np.flatnonzero(restarting).tolist()}
+        if copy is not None:
+            for row in np.flatnonzero(restarting | ~acting).tolist():
+                assign(copy.rows[row], select(self._observations, row))
+        terminations = np.zeros(self.num_envs, np.bool_)
+        infos |= self._instructions(words)
+        return self._hand_out(copy), rewards, terminations, truncations, infos
+
+    def _advance(self, points: NDArray[np.float64], rows: Rows, copy: "_Copy | None") -> None:
+        """Simulate and observe a step in some rows, divided among the threads."""
+        from magical.physics.substeps import step_rows  # imports numba
+
+        taken = list(map(tuple, points.tolist()))
+
+        def advance(part: Rows) -> None:
+            step_rows(part, self._robots, self._places, points, self._bodies)
+            for row in part.tolist():
+                with self._naming(row):
+                    self.envs[row].observe(taken[row], self._bodies[row, : self._counts[row]])
+                if copy is not None:
+                    assign(copy.rows[row], select(self._observations, row))
+
+        first, *others = np.array_split(rows, self.workers)
+        others = [part for part in others if len(part)]
+        futures = [self._executor().submit(advance, part) for part in others]
+        try:
+            advance(first)
+        finally:
+            wait(futures)
+        for future in futures:
+            future.result()
+
+    def _executor(self) -> ThreadPoolExecutor:
+        """The threads, made at first use and again after a fork, which has none."""
+        if self._threads is None or self._threads[0] != os.getpid():
+            self._threads = os.getpid(), ThreadPoolExecutor(self.workers - 1)
+        return self._threads[1]
+
+    def _start(
+        self, row: int, seed: int | None = None, options: Mapping[str, Any] | None = None
+    ) -> str:
+        """Start an episode in a row; returns its instruction."""
+        with self._naming(row):
+            self._counts[row] = 0  # in case it fails
+            info = self.envs[row].start(seed, options or {})
+            self._note(row)
+        words: str = info["instruction"]
+        return words
+
+    def _note(self, row: int) -> None:
+        """Note the simulation and the bodies of an episode that has been started or restored."""
+        env, most = self.envs[row], self._places.shape[1]
+        count = len(env.bodies)
+        if count > most:
+            raise InvalidSceneError(
+                f"expected at most {most - FIRST_BLOCK} blocks, found {count - FIRST_BLOCK}; "
+                "remove some"
+            )
+        self._robots[row] = env.simulation.robot
+        self._places[row] = 0
+        self._places[row, :count] = env.simulation.places
+        self._bodies[row, :count] = env.bodies
+        self._counts[row], self._ended[row] = count, not env.is_running
+
+    @contextmanager
+    def _naming(self, row: int) -> Any:
+        """Errors say in which sub-environment they were raised, which then needs a reset."""
+        try:
+            yield
+        except Exception as error:
+            self._counts[row] = 0
+            error.add_note(f"in environment {row} ({self.env_ids[row]})")
+            raise
+
+    def states(self) -> list[State]:
+        """The true state of every sub-environment, for experts and privileged policies."""
+        self._require_episodes("states")
+        return [env.state() for env in self.envs]
+
+    @property
+    def bodies(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """All bodies as (N, max bodies, 6): x, y, angle and their velocities.
+
+        The rows are those of `Poses`; the second array, (N,), holds how many are in use. Both are
+        read-only views, which the next step or reset overwrites.
+        """
+        self._require_episodes("bodies")
+        bodies, counts = self._bodies.view(), self._counts.view()
+        bodies.flags.writeable = counts.flags.writeable = False
+        return bodies, counts
+
+    def get_state(self, index: int) -> dict[str, Any]:
+        """What `MagicalEnv.get_state` returns, for sub-environment `index`."""
+        return self.envs[index].get_state()
+
+    def set_state(self, index: int, state: Mapping[str, Any]) -> Any:
+        """Continue sub-environment `index` from a saved state, as `MagicalEnv.set_state` does."""
+        row = range(self.num_envs)[index]
+        with self._naming(row):
+            observation = self.envs[row].set_state(state)
+            self._note(row)
+        return observation
+
+    def render(self) -> tuple[Any, ...] | None:
+        """Both views of every sub-environment side by side: N arrays (384, 768, 3), or None."""
+        return None if self.render_mode is None else tuple(env.render() for env in self.envs)
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """End the threads."""
+        if getattr(self, "_threads", None) is not None:
+            self._executor().shutdown()
+
+    def _infos(self, scores: NDArray[Any], acting: Bools, ended: Bools, same_step: bool) -> Infos:
+        """The infos of a step, as Gymnasium's own vector environments build them."""
+        if not same_step or not ended.any():
+            return _score_infos(scores, acting)
+        observations = np.full(self.num_envs, None, dtype=object)
+        for row in np.flatnonzero(ended).tolist():
+            observations[row] = copy_arrays(select(self._observations, row))
+        return {
+            **_score_infos(np.zeros_like(scores), acting),
+            "final_obs": observations,
+            "_final_obs": ended.copy(),
+            "final_info": _score_infos(scores, ended),
+            "_final_info": ended.copy(),
+        }
+
+    def _instructions(self, words: Mapping[int, str]) -> Infos:
+        """The instructions of the sub-environments that have started an episode."""
+        if not words:
+            return {}
+        values, mask = np.full(self.num_envs, None, dtype=object), np.zeros(self.num_envs, np.bool_)
+        for row, text in words.items():
+            values[row], mask[row] = text, True
+        return {"instruction": values, "_instruction": mask}
+
+    def _free_copy(self) -> "_Copy | None":
+        """Arrays to hand the observations out in, which the caller does not hold any more."""
+        if self._copies is None:
+            return None
+        for copy in self._copies:
+            if copy.is_free():
+                return copy
+        copy = _Copy(self._observations, self.num_envs)
+        if len(self._copies) < MOST_COPIES:
+            self._copies.append(copy)
+        return copy
+
+    def _hand_out(self, copy: "_Copy | None") -> Any:
+        if copy is not None:
+            return copy.hand_out()
+        return self._observations if self._copies is None else copy_arrays(self._observations)
+
+    def _checked_mask(self, name: str, mask: Any) -> Bools:
+        """A mask of sub-environments as bool (N,), all True for None; raises `ValueError`."""
+        if mask is None:
+            return np.ones(self.num_envs, np.bool_)
+        array = np.asarray(mask)
+        if array.shape != (self.num_envs,) or array.dtype != np.bool_ or not array.any():
+            raise ValueError(
+                f"{name}: expected bool ({self.num_envs},) with at least one True, found "
+                f"{quoted(mask)}"
+            )
+        return array
+
+    def _require_episodes(
+        self, what: str, needed: Bools | None = None, ended: Bools | None = None
+    ) -> None:
+        """Raise `ResetNeededError`, naming sub-environments that need an episode and have none."""
+        missing = self._counts == 0 if ended is None else (self._counts == 0) | ended
+        rows = np.flatnonzero(missing if needed is None else missing & needed).tolist()
+        if rows:
+            names = ", ".join(f"{row} ({self.env_ids[row]})" for row in rows[:5])
+            raise ResetNeededError(
+                f"{what}: expected a running episode in every environment, found none in "
+                f"{len(rows)} of {self.num_envs}: {names}{', ...' if len(rows) > 5 else ''}; "
+                "call reset() first"
+            )
+
+
+# The current observations, the previous ones, and those of the step in progress: training loops
+# keep the first two.
+MOST_COPIES = 3
+
+
+class _Copy:
+    """Arrays in which observations are handed out, again and again: new memory costs time.
+
+    The threads copy each observation while it is still in the core's cache.
+    """
+
+    def __init__(self, observations: Any, count: int) -> None:
+        self._arrays = copy_arrays(observations)
+        self.rows = [select(self._arrays, row) for row in range(count)]
+        self._free = self._references()
+
+    def _references(self) -> list[int]:
+        arrays = self._arrays if isinstance(self._arrays, dict) else {"": self._arrays}
+        return [sys.getrefcount(array) for array in arrays.values()]
+
+    def is_free(self) -> bool:
+        """Whether nobody holds the arrays: every view of them, at any remove, refers to them."""
+        return self._references() == self._free
+
+    def hand_out(self) -> Any:
+        """Views of the arrays."""
+        return map_arrays(lambda array: array[:], self._arrays)
+
+
+def _common_preset(env_ids: Sequence[EnvId]) -> str | None:
+    """The preset that the ids agree on; raises `MismatchedSpacesError` if they do not."""
+    presets = {env_id.preset for env_id in env_ids}
+    if len(presets) > 1:
+        raise MismatchedSpacesError(
+            "environments in one batch: expected the same preset in all ids, found "
+            f"{', '.join(sorted(map(str, presets)))}; or give observation=..."
+        )
+    return presets.pop()
+
+
+def _check_spaces(envs: Sequence[MagicalEnv]) -> None:
+    """Raise `MismatchedSpacesError` for observations of different spaces, as of state vectors."""
+    first = envs[0]
+    for env in {env.task.name: env for env in envs}.values():
+        if env.observation_space != first.observation_space:
+            raise MismatchedSpacesError(
+                "environments in one batch: expected one observation space, found "
+                f"shape {first.observation_space.shape} ({first.task.name}) and "
+                f"{env.observation_space.shape} ({env.task.name}); use a pixel observation or a "
+                "batch for each task"
+            )
+
+
+def _of_row(value: Any, row: int) -> Any:
+    """One row's scene or dynamics, of one for all rows or a list of one for each."""
+    many = isinstance(value, list | tuple) and not isinstance(value[0], int | float)
+    return value[row] if many else value
+
+
+def _score_infos(scores: NDArray[np.float64], mask: Bools) -> Infos:
+    """Scores (2, N) and success under their names, each with its mask (N,), as in Gymnasium."""
+    values = dict(zip(SCORE_KEYS, scores, strict=True)) | {"is_success": scores[0] > SUCCESS}
+    return values | {f"_{key}": mask.copy() for key in values}
+
+
+def _autoreset_mode(mode: str | AutoresetMode) -> AutoresetMode:
+    """An autoreset mode from a value such as "SameStep"; raises `UnknownNameError`."""
+    try:
+        return AutoresetMode(mode)
+    except ValueError as error:
+        raise UnknownNameError(
+            f"autoreset mode {quoted(mode)} is unknown; expected one of: "
+            f"{', '.join(each.value for each in AutoresetMode)}"
+        ) from error
+
+
+def _checked_seeds(seed: int | Sequence[int | None] | None, num_envs: int) -> list[int | None]:
+    """One seed for each sub-environment: `seed + i`, or a list's entries; raises `ValueError`."""
+    if seed is None:
+        return [None] * num_envs
+    entries: Any = seed
+    seeds: list[int | None] = []
+    with suppress(TypeError, ValueError):  # neither an integer nor a list of them
+        if np.ndim(entries) == 0:
+            seeds = [operator.index(entries) + i for i in range(num_envs)]
+        else:
+            seeds = [None if s is None else operator.index(s) for s in entries]
+    if len(seeds) != num_envs or any(s is not None and s < 0 for s in seeds):
+        raise ValueError(
+            f"seed: expected a non-negative integer, {num_envs} of them, or None, "
+            f"found {quoted(seed)}"
+        )
+    return seeds
+
+
+def make_vector_env(task: str, variant: str, num_envs: int = 1, **options: Any) -> MagicalVectorEnv:
+    """The entry point of `gymnasium.make_vec("magical/<id>", num_envs=N, ...)`.
+
+    `options` are those of `MagicalVectorEnv`: observation, workers, horizon, reward, copy, ...
+    """
+    if "max_episode_steps" in options:
+        raise time_limit_error(options["max_episode_steps"])
+    return MagicalVectorEnv([EnvId(task, variant)] * num_envs, **options)
