@@ -99,16 +99,6 @@ class Tab:
         self.key(key, down=True)
         self.key(key, down=False)
 
-    def resize(self, width: int, height: int, *, mobile: bool = False) -> None:
-        """Give the page this size, in CSS pixels."""
-        self.call(
-            "Emulation.setDeviceMetricsOverride",
-            width=width,
-            height=height,
-            deviceScaleFactor=2 if mobile else 1,
-            mobile=mobile,
-        )
-
 
 @contextmanager
 def start_browser(program: str, folder: Path) -> Iterator[Browser]:

@@ -1,91 +1,75 @@
-"""A server on loopback, and players without a browser."""
+"""A server on loopback, and a person's end of its socket without a browser."""
 
 import http.client
 import json
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
+from magical.demos import DatasetWriter
 from magical.envs import EnvId
-from magical_play.players import Players
+from magical_play.policies import Policies
 from magical_play.security import make_guard
 from magical_play.server import PlayServer, listen, make_server
+from magical_play.session import Session
 
 TOKEN = "a-token-of-the-tests"
 TIMEOUT = 60.0  # s
-
-
-@dataclass(frozen=True, slots=True)
-class Answer:
-    """The answer to a request."""
-
-    status: int
-    headers: dict[str, str]
-    body: bytes
+ENV = EnvId("MoveToRegion", "Demo")
 
 
 class RunningServer:
     """A server in a thread of this process."""
 
-    def __init__(self, port: int, players: Players) -> None:
+    def __init__(self, port: int, session: Session) -> None:
+        self.session = session
         self.port = port
-        self.players = players
         self.host = f"127.0.0.1:{port}"
 
     def get(
-        self,
-        path: str,
-        method: str = "GET",
-        token: str | None = TOKEN,
-        content: bytes | None = None,
-        **headers: str,
-    ) -> Answer:
-        """Send one request; the path, which may have a query, is sent as it is."""
+        self, path: str, method: str = "GET", token: str | None = TOKEN, **headers: str
+    ) -> tuple[int, dict[str, str], bytes]:
+        """Send one request; returns status, headers and body. The path is sent as it is."""
         client = http.client.HTTPConnection("127.0.0.1", self.port, timeout=TIMEOUT)
-        joint = "&" if "?" in path else "?"
-        target = path if token is None else f"{path}{joint}token={token}"
-        client.request(method, target, content, {"Host": self.host, **headers})
+        target = path if token is None else f"{path}?token={token}"
+        client.request(method, target, None, {"Host": self.host, **headers})
         answer = client.getresponse()
         names = {name.lower(): value for name, value in answer.getheaders()}
-        result = Answer(answer.status, names, answer.read())
+        result = answer.status, names, answer.read()
         client.close()
         return result
 
-    def connect(
-        self, query: str = f"token={TOKEN}", origin: str | None = "", **headers: str
-    ) -> ClientConnection:
+    def connect(self, query: str = f"token={TOKEN}", origin: str | None = "") -> ClientConnection:
         """Open the socket; the origin is the server's own unless another is given."""
         return connect(
             f"ws://{self.host}/socket?{query}",
-            origin=f"http://{self.host}" if origin == "" else origin,  # type: ignore[arg-type]
-            additional_headers=headers,
+            origin=f"http://{self.host}" if origin == "" else origin,
             proxy=None,
         )
 
     @contextmanager
-    def player(self, session: str | None = None) -> Iterator["Player"]:
-        """A player who has the first frame."""
-        query = f"token={TOKEN}" + (f"&session={session}" if session else "")
-        with self.connect(query) as socket:
-            player = Player(socket)
-            player.next_frame()
-            yield player
+    def page(self) -> Iterator["Page"]:
+        """A page that has the first frame."""
+        with self.connect() as socket:
+            page = Page(socket)
+            page.wait_for(lambda _: True)
+            yield page
 
 
-class Player:
-    """A player's end of the socket, which confirms every frame as the page does."""
+class Page:
+    """A page's end of the socket, which confirms every frame."""
 
     def __init__(self, socket: ClientConnection) -> None:
         self.socket = socket
         self.held: list[str] = []
         self.frame = b""
         self.status: dict[str, Any] = {}
-        self.session = json.loads(socket.recv(timeout=TIMEOUT))["session"]
+        self.replies: list[dict[str, Any]] = []
 
     def send(self, **message: Any) -> None:
         self.socket.send(json.dumps(message))
@@ -95,29 +79,19 @@ class Player:
         self.held = list(controls)
         self.send(type="keys", held=self.held, seen=0)
 
-    def keep(self, demonstrator: str) -> None:
-        """Keep the episode that has ended."""
-        self.send(type="keep", demonstrator=demonstrator)
-        self.wait_for(lambda status: status["kept"] == 1)
-
-    def receive(self) -> dict[str, Any]:
-        """The next status, when its frame has come too."""
-        self.status = json.loads(self.socket.recv(timeout=TIMEOUT))
-        frame = self.socket.recv(timeout=TIMEOUT)
+    def receive(self) -> None:
+        message = json.loads(self.socket.recv(timeout=TIMEOUT))
+        if message["type"] != "status":
+            return self.replies.append(message)
+        self.status, frame = message, self.socket.recv(timeout=TIMEOUT)
         assert isinstance(frame, bytes)
         self.frame = frame
-        return self.status
-
-    def next_frame(self) -> dict[str, Any]:
-        """The next status, whose frame is confirmed."""
-        status = self.receive()
-        self.send(type="keys", held=self.held, seen=status["number"])
-        return status
+        return self.send(type="keys", held=self.held, seen=message["number"])
 
     def wait_for(self, condition: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
         """The first status of which the condition holds, the present one included."""
-        while not condition(self.status):
-            self.next_frame()
+        while not self.status or not condition(self.status):
+            self.receive()
         return self.status
 
 
@@ -131,17 +105,15 @@ def close_code(socket: ClientConnection) -> int:
 
 
 @contextmanager
-def running(**settings: Any) -> Iterator[RunningServer]:
-    """A server on a free port of loopback that starts players in MoveToRegion."""
+def running(record: Path, datasets: Sequence[Path] = ()) -> Iterator[RunningServer]:
+    """A server on a free port of loopback that starts in MoveToRegion."""
+    session = Session(ENV, Policies(), [record, *datasets], DatasetWriter(record))
     with listen("127.0.0.1", 0) as listening:
-        playing = PlayServer(
-            make_guard("127.0.0.1", TOKEN), EnvId("MoveToRegion", "Demo"), **settings
-        )
-        server = make_server(playing.app)
+        server = make_server(PlayServer(make_guard("127.0.0.1", TOKEN), session).app)
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]})
         thread.start()
         try:
-            yield RunningServer(listening.getsockname()[1], playing.players)
+            yield RunningServer(listening.getsockname()[1], session)
         finally:
             server.should_exit = True
             thread.join()

@@ -1,95 +1,173 @@
-"""Playing in headless Chromium: keys, touch, recording, a lost connection."""
+"""The page in headless Chromium: play with keys, record, watch, take over."""
 
 from pathlib import Path
 from typing import Any
 
-from magical.demos import Dataset
+import pytest
+
+from magical.demos import Actor, Dataset
 from magical.demos.replay import replay
-from play.tests.browser import Tab
-from play.tests.driving import names_and_focus, play_expert, text_of
-from play.tests.serving import RunningServer
+from magical.envs.keys import Control, controls_of
+from magical.experts import EpisodeExpert, expert_for
+from magical_play import session
+from magical_play.episodes import PlayedEpisode
+from play.tests.browser import Browser, Tab
+from play.tests.serving import TOKEN, RunningServer
+
+KEYS = dict(zip(Control, ("ArrowUp", "ArrowDown", "ArrowLeft", "ArrowRight", " "), strict=True))
 
 
-def test_an_episode_is_played_with_keys_kept_and_found(
-    slow: None, tab: Tab, server: RunningServer, dataset: Path
-) -> None:
-    tab.evaluate("element('name').value = 'Ada'; element('seed').value = 3")
+def open_page(tab: Tab, server: RunningServer) -> None:
+    """Open the page; what its module exports is then `page`."""
+    tab.call("Page.navigate", url=f"http://{server.host}/?token={TOKEN}")
+    tab.wait_for("document.readyState === 'complete'")
+    tab.evaluate("import('/main.js').then((found) => { globalThis.page = found })")
+    tab.evaluate("globalThis.element = (id) => document.getElementById(id)")
+    tab.wait_for("page.latest?.phase === 'ready'")
+
+
+def text_of(tab: Tab, name: str) -> str:
+    return str(tab.evaluate(f"element('{name}').textContent"))
+
+
+def choose(tab: Tab, field: str, value: object) -> None:
+    """Choose an option, when it is there."""
+    tab.wait_for(f"[...element('{field}').options].some((one) => one.value === '{value}')")
+    tab.evaluate(f"element('{field}').value = '{value}'")
+    tab.evaluate(f"element('{field}').dispatchEvent(new Event('change'))")
+
+
+def start(tab: Tab, seed: int, who: object = "") -> None:
+    tab.evaluate(f"element('seed').value = {seed}")
+    choose(tab, "who", who)
     tab.evaluate("element('choose').requestSubmit()")
-    tab.wait_for("latest.seed === 3")
-    play_expert(tab, server)
-    assert text_of(tab, "score") == "1.00"
-    assert "score 1.00. Keep this episode?" in text_of(tab, "prompt-text")
-    tab.tap("k")
-    tab.wait_for("latest.kept === 1")
-    assert text_of(tab, "connection") == "Recording; 1 kept"
-    (trajectory,) = Dataset.open(dataset).filter(demonstrator="Ada", min_score=1.0)
-    assert (trajectory.seed, trajectory.score) == (3, 1.0)
-    assert replay(trajectory).departure == 0.0
-    assert tab.browser.problems == []
+    tab.wait_for(f"page.latest.seed === {seed} && !page.latest.is_recorded")
 
 
-def test_keys_show_the_last_action_and_start_over(tab: Tab) -> None:
-    assert text_of(tab, "seconds") == "5.0 s"
-    tab.key("ArrowUp", down=True)
-    tab.key(" ", down=True)
-    tab.wait_for("element('action').textContent === 'forward + grip'")
-    lit = "[...document.querySelectorAll('[data-lit]')].map((one) => one.dataset.control).join()"
-    assert tab.evaluate(lit) == "forward,grip"
-    tab.tap("p")
-    tab.wait_for("latest.phase === 'paused'")
-    tab.tap("p")
-    tab.wait_for("latest.phase === 'playing'")
-    tab.tap("r")
-    tab.wait_for("latest.phase === 'ready' && latest.steps === 0")
-    assert tab.browser.problems == []
+def play_expert(tab: Tab, server: RunningServer) -> None:
+    """Play the episode to its end, pressing the keys that the expert would."""
+    episode, held = server.session.episode, set[Control]()
+    assert isinstance(episode, PlayedEpisode)
+    expert = EpisodeExpert(expert_for(episode.env_id.task, seed=0))
+    while tab.evaluate("page.latest.phase") != "ended":
+        state = episode.state
+        wanted = set(controls_of(expert.act(state)))
+        for control in held ^ wanted:
+            tab.key(KEYS[control], down=control in wanted)
+        held = wanted
+        tab.wait_for(f"page.latest.steps > {state.step}")
+        expert.note_executed(episode.actions[state.step])
+    for control in held:
+        tab.key(KEYS[control], down=False)
 
 
-def test_typing_in_a_field_does_not_steer(tab: Tab) -> None:
-    tab.evaluate("element('name').focus()")
-    for key in ("r", " ", "k"):
-        tab.tap(key)
-    tab.tap("ArrowUp")
-    assert tab.evaluate("element('name').value") == "r k"
-    assert tab.evaluate("latest.phase") == "ready"
-    tab.tap("Escape")
-    assert tab.evaluate("document.activeElement.id") == "stage"
-    tab.tap("ArrowUp")
-    tab.wait_for("latest.phase === 'playing'")
+def test_play_record_watch_and_take_over(
+    browser: Browser, server: RunningServer, dataset: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(session, "STEP_TIME", 0.25)  # keys arrive in time on a busy machine
+    with browser.open_tab() as tab:
+        open_page(tab, server)
+        # Play.
+        tab.evaluate("element('name').value = 'Ada'")
+        start(tab, 3)
+        assert "Seed 3. Press a key" in text_of(tab, "prompt-text")
+        play_expert(tab, server)
+        assert "score 1.00. Keep this episode?" in text_of(tab, "prompt-text")
+        # Record.
+        tab.tap("k")
+        tab.wait_for("page.latest.kept === 1")
+        assert text_of(tab, "connection") == "Recording; 1 kept"
+        (stored,) = Dataset.open(dataset)
+        assert (stored.seed, stored.score, stored.demonstrator) == (3, 1.0, "Ada")
+        assert replay(stored).departure == 0.0
+        # Watch a policy, take over from it, hand back.
+        monkeypatch.setattr(session, "STEP_TIME", 0.05)
+        start(tab, 4, who=0)
+        tab.wait_for("page.latest.steps > 2")
+        assert text_of(tab, "acting").startswith("expert is acting")
+        tab.key("ArrowLeft", down=True)
+        tab.wait_for("page.latest.executed.join() === 'left' && !page.latest.policy_acts")
+        assert text_of(tab, "acting").startswith("You are acting")
+        assert tab.evaluate("document.querySelector('[data-lit]').dataset.control") == "left"
+        tab.key("ArrowLeft", down=False)
+        tab.tap("h")
+        tab.wait_for("page.latest.phase === 'ended'")
+        tab.evaluate("element('keep').click()")
+        tab.wait_for("page.latest.kept === 2")
+        actors = Dataset.open(dataset)[1].actors
+        assert actors is not None
+        assert set(actors.tolist()) == {Actor.EXPERT, Actor.HUMAN}
+        # Watch an episode.
+        choose(tab, "episodes", 0)
+        tab.wait_for("page.latest.is_recorded && page.latest.phase === 'ended'")
+        pictures = []
+        tab.tap("Escape")
+        for key, step in (("Home", 0), ("ArrowRight", 1), ("ArrowRight", 2), ("End", 40)):
+            tab.tap(key)
+            tab.wait_for(f"page.latest.steps === {step} && page.shown === page.latest.number")
+            pictures.append(tab.evaluate("element('frame').toDataURL()"))
+        assert len(set(pictures)) == 4
+        controls = controls_of(int(stored.actions[-1]))
+        assert f"Last action{' + '.join(controls) or 'none'}" in text_of(tab, "facts")
+        choose(tab, "view", "both")
+        tab.wait_for("element('frame').width === 776")
+        assert tab.browser.problems == []
 
 
-def test_touch_buttons_steer(tab: Tab) -> None:
-    tab.resize(390, 844, mobile=True)
-    box = "document.querySelector('[data-control=left]').getBoundingClientRect()"
-    x, y = tab.evaluate(f"[{box}.x + {box}.width / 2, {box}.y + {box}.height / 2]")
-    touch: dict[str, Any] = {"touchPoints": [{"x": x, "y": y}]}
-    tab.call("Input.dispatchTouchEvent", type="touchStart", **touch)
-    tab.wait_for("latest.steps > 2 && element('action').textContent === 'left'")
-    tab.call("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
-    tab.wait_for("element('action').textContent === 'none'")
-    assert tab.evaluate("document.documentElement.scrollWidth") == 390
+def test_touch_keys_in_fields_and_lost_connections(browser: Browser, server: RunningServer) -> None:
+    with browser.open_tab() as tab:
+        open_page(tab, server)
+        tab.evaluate("element('name').focus()")
+        for key in ("r", " ", "k", "ArrowUp"):
+            tab.tap(key)
+        assert tab.evaluate("element('name').value") == "r k"
+        assert tab.evaluate("page.latest.phase") == "ready"
+        tab.tap("Escape")
+        assert tab.evaluate("document.activeElement.id") == "stage"
+        box = "document.querySelector('[data-control=left]').getBoundingClientRect()"
+        x, y = tab.evaluate(f"[{box}.x + {box}.width / 2, {box}.y + {box}.height / 2]")
+        touch: dict[str, Any] = {"touchPoints": [{"x": x, "y": y}]}
+        tab.call("Input.dispatchTouchEvent", type="touchStart", **touch)
+        tab.wait_for("page.latest.steps > 2 && page.latest.executed.join() === 'left'")
+        tab.call("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
+        tab.wait_for("!page.latest.executed.length")
+        tab.tap("p")
+        tab.wait_for("page.latest.phase === 'paused'")
+        steps = tab.evaluate("page.latest.steps")
+        tab.evaluate("page.socket.close()")
+        tab.wait_for("page.socket.readyState === WebSocket.OPEN && page.latest")
+        tab.tap("p")
+        tab.wait_for(f"page.latest.phase === 'playing' && page.latest.steps > {steps}")
+        tab.evaluate(  # a frame that cannot be decoded is left out
+            "globalThis.decode = createImageBitmap; globalThis.createImageBitmap = async () =>"
+            " { globalThis.createImageBitmap = decode; throw new Error('no memory'); }"
+        )
+        tab.tap("r")
+        tab.wait_for("page.latest.phase === 'ready'")
+        tab.tap("ArrowUp")
+        tab.wait_for("page.latest.steps > 2 && page.shown === page.latest.number")
 
 
-def test_a_lost_connection_is_resumed_where_it_was(tab: Tab) -> None:
-    tab.tap("ArrowUp")
-    tab.wait_for("latest.steps > 2")
-    seed = tab.evaluate("latest.seed")
-    tab.evaluate("socket.close()")
-    tab.wait_for("latest.phase === 'paused'")
-    assert tab.evaluate("latest.seed") == seed
-    tab.tap("ArrowUp")
-    tab.wait_for("latest.phase === 'playing' && latest.steps > 3")
-
-
-def test_a_frame_that_cannot_be_decoded_is_left_out(tab: Tab) -> None:
-    tab.evaluate(
-        "globalThis.decode = createImageBitmap; globalThis.createImageBitmap = async () =>"
-        " { globalThis.createImageBitmap = decode; throw new Error('no memory'); }"
-    )
-    tab.tap("ArrowUp")
-    tab.wait_for("latest.steps > 8")
-
-
-def test_everything_on_the_page_to_play_on_has_a_name_and_a_visible_focus(tab: Tab) -> None:
-    seen = names_and_focus(tab, "play", 24)
-    expected = {"to-play", "to-look", "restart", "task", "variant", "seed", "who", "view", "name"}
-    assert expected | {"grip"} <= seen
+def test_everything_on_the_page_has_a_name_and_a_visible_focus(
+    browser: Browser, server: RunningServer
+) -> None:
+    with browser.open_tab() as tab:
+        open_page(tab, server)
+        names = tab.evaluate(
+            "[...document.querySelectorAll('button, input, select')].map((one) =>"
+            " one.getAttribute('aria-label') || one.labels?.[0]?.textContent || one.textContent)"
+        )
+        assert len(names) > 20
+        assert all(name.strip() for name in names)
+        seen = set()
+        for _ in range(20):
+            tab.tap("Tab")
+            name, *outline = tab.evaluate(
+                "(({ activeElement: one }) => { const style = getComputedStyle(one);"
+                " return [one.id || one.dataset.control, style.outlineStyle, style.outlineWidth]"
+                " })(document)"
+            )
+            if tab.evaluate("document.activeElement !== document.body"):
+                assert outline == ["solid", "3px"], name
+                seen.add(name)
+        assert {"grip", "restart", "task", "who", "seed", "dataset", "view", "name"} <= seen

@@ -1,6 +1,5 @@
 """`magical play`."""
 
-import json
 import re
 import signal
 import socket
@@ -31,10 +30,10 @@ def test_the_first_line_is_the_address_with_the_token(tmp_path: Path, end: signa
         found = ADDRESS.fullmatch(process.stdout.readline())
         assert found is not None
         url, token = found.groups()
-        with urllib.request.urlopen(f"{url}api/library?token={token}", timeout=60) as answer:
-            assert json.load(answer)["tasks"]
+        with pytest.raises(urllib.error.HTTPError, match="404"):
+            urllib.request.urlopen(f"{url}elsewhere?token={token}", timeout=60)
         with pytest.raises(urllib.error.HTTPError, match="403"):
-            urllib.request.urlopen(f"{url}api/library?token={token[:-1]}", timeout=60)
+            urllib.request.urlopen(f"{url}elsewhere?token={token[:-1]}", timeout=60)
         process.send_signal(end)
         out, errors = process.communicate(timeout=60)
     finally:

@@ -141,21 +141,5 @@ class DeviceError(MagicalError, RuntimeError):
     """A device that is unknown, not available, or out of memory."""
 
 
-class MessageError(MagicalError, ValueError):
-    """A message from a web page that is not in the documented format, or cannot be followed now."""
-
-
-class NotFoundError(MagicalError, LookupError):
-    """Something that a web page asks for and that the server does not have, or no longer has."""
-
-
-class BusyError(MagicalError, RuntimeError):
-    """A server that has too many requests to answer, or whose environments are all in use."""
-
-
-class ServerError(MagicalError, OSError):
-    """A server that cannot listen on the chosen address."""
-
-
 class RenderError(MagicalError, ValueError):
     """A frame that cannot be rendered: poses or an array that do not fit, or an impossible size."""

@@ -26,7 +26,6 @@ from magical.runs.folder import CHECKPOINT, CONFIG, METRICS, RECORD
 from magical_baselines import load_policy, read_config, train
 from magical_baselines.algorithms.bc import BCConfig
 from magical_baselines.running.checkpoints import load_checkpoint, save_checkpoint
-from magical_play.policies import Policies
 
 ODD: tuple[Any, ...] = (None, True, -1, 10**400, 1e308, "", "x" * 10_000, [], {}, [[]], {"a": 1})
 
@@ -177,12 +176,11 @@ def test_no_command_imports_what_a_run_names(
     assert not (tmp_path / "site" / "marker").exists()
 
 
-def test_the_browser_imports_nothing_that_a_run_names(folder: Path) -> None:
+def test_loading_a_policy_imports_nothing_that_its_run_names(folder: Path) -> None:
     data = json.loads((folder / CONFIG).read_text())
     (folder / CONFIG).write_text(json.dumps({**data, "observation": "unittest.__main__:main"}))
-    policies = Policies([folder])
     with pytest.raises(PluginError, match=r"--import unittest\.__main__ "):
-        policies.load(1)
+        load_policy(folder)
     assert "unittest.__main__" not in sys.modules
 
 

@@ -1,15 +1,11 @@
-"""Playing, recording and viewing in the browser.
+"""The browser: play, record demonstrations, watch episodes and policies, take over from them.
 
-- `security`: the token, accepted hosts and origins, rate limits and deadlines.
+- `command`: `magical play`.
+- `server`: the application, its WebSocket and its clock; one person at a time.
+- `security`: the token, accepted hosts and origins.
 - `messages`: typed records of what the page may send.
-- `frames`: frames as lossless WebP files.
-- `episode`: an episode that is being played, and its trajectory.
-- `policies`: the scripted expert and the runs, by number; loaded when first used.
-- `driver`: a policy in one episode: watched, rolled out, or asked for its action probabilities.
-- `session`: one player's environment, clock and episode.
-- `players`: all sessions of a server, up to a limit.
-- `connection`: a session over one WebSocket.
-- `library/`: datasets and rollouts, and what the page shows of them.
-- `server`: the application and its routes.
+- `session`: what is played or watched, its phases, who acts, recording.
+- `episodes`: an episode that is being played, and a recorded one; frames as WebP files.
+- `policies`: the policies that can be watched, and one that acts in an episode.
 - `page/`: the page's static files.
 """

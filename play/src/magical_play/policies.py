@@ -1,135 +1,136 @@
-"""The policies that the page offers: the scripted expert, and the runs in the given folders."""
+"""The policies that can be watched, the scripted expert and runs; one that acts in an episode."""
 
-import importlib
-import threading
-from collections.abc import Sequence
-from contextlib import suppress
-from copy import copy
-from dataclasses import dataclass
-from functools import lru_cache
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from magical.envs.action_spec import DISCRETE
-from magical.envs.ids import EnvId
-from magical.errors import MagicalError, NotFoundError, PolicyError, RunFolderError
-from magical.evaluation.loading import load_policy
-from magical.evaluation.policy import Policy, action_spec_of
-from magical.experts import has_expert
-from magical.runs import is_run, read_json
-from magical.runs.folder import CHECKPOINT, CONFIG
-from magical.tasks import TASKS
-from magical_play.library.sources import unique_names, version_of
+import numpy as np
 
-EXPERT = 0  # the number of the scripted expert
-EXPERT_NAME = "expert"  # also the demonstrator of its episodes
+from magical import get_task
+from magical.demos import Actor
+from magical.envs import EnvId
+from magical.errors import PolicyError, RunFolderError
+from magical.evaluation import load_policy
+from magical.evaluation.policy import observation_for
+from magical.experts import EpisodeExpert, expert_for, strategy_seed
+from magical.observe import make_spec
+from magical.observe.arrays import map_arrays
+from magical.runs import is_run
+from magical.scene import NUM_ACTIONS, State
+
+EXPERT = "expert"  # the name of the first policy
 MAX_DEPTH = 3  # levels of folders below a given one that are searched for runs
-MAX_LOADED = 4  # policies kept in memory
 
-
-@dataclass(frozen=True, slots=True)
-class PolicyEntry:
-    """A policy that can be watched or rolled out."""
-
-    name: str
-    tasks: tuple[str, ...]  # in which it can act
-    algorithm: str | None = None  # None: the scripted expert
-    folder: Path | None = None
-
-    def check(self, env_id: EnvId) -> None:
-        """Raise `PolicyError` if the policy cannot act in an environment."""
-        if env_id.task not in self.tasks:
-            raise PolicyError(
-                f"{self.name}: expected an environment of the tasks it can act in, "
-                f"{', '.join(self.tasks)}; found {env_id}"
-            )
+# Called in every state of one episode, in order, with the action that led to it, if any.
+Chooser = Callable[[State, int | None], int]
 
 
 class Policies:
-    """The policies of a server by number: 0 is the expert, then runs in the order they were found.
+    """The policies of a server by number: 0 is the expert, then the runs in the given folders.
 
     Args:
         folders: run folders, or folders with run folders in them.
-        tasks: tasks to offer besides the registered ones, such as generated ones.
 
     Raises:
         RunFolderError: a folder does not exist.
     """
 
-    def __init__(self, folders: Sequence[Path] = (), tasks: Sequence[str] = ()) -> None:
+    def __init__(self, folders: Sequence[Path] = ()) -> None:
         for folder in folders:
             if not folder.is_dir():
                 raise RunFolderError(f"{folder}: expected a folder with runs, found none")
-        names = unique_names(folders) if len(folders) > 1 else [""] * len(folders)
-        self._folders = list(zip(names, folders, strict=True))
-        self._tasks = (*TASKS, *tasks)
-        self._entries = [PolicyEntry(EXPERT_NAME, ())]
-        self._load = lru_cache(MAX_LOADED)(lambda folder, _: load_policy(folder.absolute()))
-        self._lock = threading.Lock()  # for the list, and so that no run is loaded twice at once
-        if folders:
-            with suppress(ImportError):  # a later import would hold up all players for seconds
-                importlib.import_module("magical_baselines.policy")
-        self.refresh()
+        self._roots = folders
+        self._runs: list[Path] = []
 
-    def refresh(self) -> Sequence[PolicyEntry]:
-        """All policies, including runs that were added since; numbers do not change."""
-        with self._lock:
-            known = {entry.folder for entry in self._entries}
-            for name, root in self._folders:
-                for folder in find_runs(root):
-                    if folder not in known:
-                        self._entries.append(_entry(name, root, folder))
-                        known.add(folder)
-            self._entries[EXPERT] = PolicyEntry(EXPERT_NAME, tuple(filter(has_expert, self.tasks)))
-            return tuple(self._entries)
+    def names(self) -> list[str]:
+        """The names of all policies, including runs added since; numbers do not change."""
+        found = dict.fromkeys(run for root in self._roots for run in find_runs(root))
+        self._runs += [run for run in found if run not in self._runs]
+        return [EXPERT, *map(str, self._runs)]
 
-    @property
-    def tasks(self) -> tuple[str, ...]:
-        """The tasks to offer: registered ones, and others that were given or that a run learned."""
-        learned = (task for entry in self._entries for task in entry.tasks)
-        return tuple(dict.fromkeys((*self._tasks, *learned)))
+    def driver(self, number: int, env_id: EnvId, seed: int) -> "Driver":
+        """A policy that begins an episode; raises `PolicyError` if there is none of the number.
 
-    def find(self, number: int) -> PolicyEntry:
-        """The policy with a number; raises `NotFoundError`."""
-        count = len(self._entries)
-        if not 0 <= number < count:
-            raise NotFoundError(f"policy: expected one of {count}, found number {number}")
-        return self._entries[number]
-
-    def load(self, number: int) -> Policy:
-        """A run's policy, from its newest checkpoint; the first call takes seconds.
-
-        Every call returns a copy with its own episode state.
-
-        Raises:
-            PolicyError: the policy is the expert, which has no network, or has continuous actions.
-            RunFolderError, CheckpointError: the run is damaged, or has no checkpoint yet.
-            MissingDependencyError: PyTorch is not installed.
+        Args:
+            number: of the policy.
+            env_id: the episode's environment.
+            seed: seeds the expert's strategy, and the sampling of actions.
         """
-        entry = self.find(number)
-        if entry.folder is None:
-            raise PolicyError(f"{entry.name}: has no action probabilities; choose a run")
-        with self._lock:
-            policy = copy(self._load(entry.folder, version_of(entry.folder / CHECKPOINT)))
-        if action_spec_of(policy) is not DISCRETE:
-            raise PolicyError(f"{entry.name}: its actions are continuous; choose one with discrete")
-        return policy
+        if number > len(self._runs):
+            raise PolicyError(f"policy: expected a number up to {len(self._runs)}, found {number}")
+        if number == 0:
+            return Driver(0, EXPERT, Actor.EXPERT, lambda: expert_chooser(env_id, seed))
+        run = self._runs[number - 1]
+        return Driver(number, str(run), Actor.POLICY, lambda: run_chooser(run, env_id, seed))
 
 
 def find_runs(root: Path) -> list[Path]:
     """The run folders at or below a folder, at most `MAX_DEPTH` levels deep, in order."""
     if is_run(root):
         return [root]
-    patterns = ("/".join(["*"] * depth + [CONFIG]) for depth in range(1, MAX_DEPTH + 1))
-    return sorted(path.parent for pattern in patterns for path in root.glob(pattern))
+    below = (root.glob("/".join("*" * depth)) for depth in range(1, MAX_DEPTH + 1))
+    return sorted(path for paths in below for path in paths if is_run(path))
 
 
-def _entry(name: str, root: Path, folder: Path) -> PolicyEntry:
-    """The entry of a run in a given folder; `name` is empty if only one folder was given."""
-    parts = [name, *folder.relative_to(root).parts]
-    shown = "/".join(filter(None, parts)) or root.resolve().name
-    try:
-        config = read_json(folder / CONFIG)
-        tasks = tuple(task for task in config["tasks"] if task in TASKS)
-        return PolicyEntry(shown, tasks, str(config["algorithm"]), folder)
-    except (MagicalError, LookupError, TypeError):
-        return PolicyEntry(f"{shown} (damaged)", (), "unknown", folder)
+class Driver:
+    """A policy in one episode, which is asked for its choice in every state, whoever acts.
+
+    Args:
+        number: its number among the server's policies.
+        name: its name.
+        actor: what recordings call it.
+        load: returns what chooses its actions; called when the first action is needed.
+    """
+
+    def __init__(self, number: int, name: str, actor: Actor, load: Callable[[], Chooser]) -> None:
+        self.number, self.name, self.actor = number, name, actor
+        self.is_asked = False
+        self.choice: int | None = None  # in the current state
+        self.error: Exception | None = None  # why there will be no choice
+        self._load = load
+        self._choose: Chooser | None = None
+
+    def ask(self, state: State, executed: int | None) -> None:
+        """Let the policy choose in the next state, to which an action led unless it is the first.
+
+        The first call may take seconds: it should be made in a thread.
+        """
+        try:
+            self._choose = self._choose or self._load()
+            self.choice = self._choose(state, executed)
+        except Exception as error:  # a policy may fail in any way; the session goes on
+            self.error = error
+
+
+def expert_chooser(env_id: EnvId, seed: int) -> Chooser:
+    """The expert in an episode in which others may also act; raises `NoExpertError`."""
+    expert = EpisodeExpert(expert_for(env_id.task, seed=strategy_seed(env_id.variant, seed)))
+
+    def choose(state: State, executed: int | None) -> int:
+        if executed is not None:
+            expert.note_executed(executed)
+        return expert.act(state)
+
+    return choose
+
+
+def run_chooser(run: Path, env_id: EnvId, seed: int) -> Chooser:
+    """The policy of a run in an episode, from its newest checkpoint; raises as `load_policy`."""
+    policy = load_policy(run.absolute())  # a relative path may be the name of another policy
+    observer = make_spec(observation_for(policy), get_task(env_id.task)).observer()
+    rng = np.random.default_rng([seed, 1])  # the scene's generator has the seed alone
+    policy.reset(np.ones(1, np.bool_))
+
+    def choose(state: State, executed: int | None) -> int:
+        if executed is None:
+            observer.start(state.scene, state.bodies)
+        else:
+            observer.update(state.bodies)
+        observation = map_arrays(lambda array: array[None], observer.out)
+        actions = np.asarray(policy.act(observation, [env_id], rng))
+        if actions.shape != (1,) or actions[0] not in range(NUM_ACTIONS):
+            raise PolicyError(
+                f"expected an action from 0 to {NUM_ACTIONS - 1}, found {actions.tolist()}"
+            )
+        return int(actions[0])
+
+    return choose

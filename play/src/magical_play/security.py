@@ -1,6 +1,5 @@
-"""Who may use the server, how often, and how long requests may take to arrive."""
+"""Who may use the server: the token, the Host and Origin headers, the headers of responses."""
 
-import asyncio
 import hmac
 import ipaddress
 import secrets
@@ -9,14 +8,11 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from urllib.parse import parse_qs, urlsplit
 
-import h11
 from starlette.datastructures import Headers
 from starlette.responses import PlainTextResponse
 from starlette.types import ASGIApp, Receive, Scope, Send
-from uvicorn.protocols.http.h11_impl import H11Protocol
 
 TOKEN_BYTES = 32  # random bytes in the token, twice the required minimum
-REQUEST_TIME = 10.0  # s within which a request must have arrived, including its body
 LOOPBACK = frozenset({"localhost", "127.0.0.1", "::1"})
 
 # Sent with every response. Nothing is loaded from other hosts, the page cannot be framed, and its
@@ -134,60 +130,3 @@ class GuardMiddleware:
         if not (reading and scope["path"] in self._public) and not guard.knows(token):
             return "the token is missing or wrong; open the address that the server printed"
         return None
-
-
-class RateLimit:
-    """A token bucket: `rate` messages per second on average, `burst` at once."""
-
-    def __init__(self, rate: float, burst: float, now: float) -> None:
-        self.rate, self.burst = rate, burst
-        self._available, self._updated = burst, now
-
-    def allows(self, now: float) -> bool:
-        """Whether one more message may be handled now; if so, it is counted."""
-        elapsed, self._updated = now - self._updated, now
-        self._available = min(self.burst, self._available + elapsed * self.rate)
-        if self._available < 1.0:
-            return False
-        self._available -= 1.0
-        return True
-
-
-class TimedProtocol(H11Protocol):
-    """HTTP whose connections are closed when a request does not arrive within `REQUEST_TIME`.
-
-    Without it, a client that sends a byte now and then could keep a connection open forever.
-    """
-
-    _deadline: asyncio.TimerHandle | None = None
-
-    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Start the deadline of the first request."""
-        super().connection_made(transport)
-        self._start()
-
-    def data_received(self, data: bytes) -> None:
-        """Start the deadline at a request's first byte; stop it when the request is complete."""
-        if self._deadline is None:
-            self._start()
-        super().data_received(data)
-        if self.conn.their_state not in (h11.IDLE, h11.SEND_BODY):
-            self._stop()
-
-    def handle_websocket_upgrade(self, event: h11.Request) -> None:
-        """Stop the deadline: the WebSocket protocol takes over."""
-        self._stop()
-        super().handle_websocket_upgrade(event)
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        """Stop the deadline."""
-        self._stop()
-        super().connection_lost(exc)
-
-    def _start(self) -> None:
-        self._deadline = self.loop.call_later(REQUEST_TIME, self.transport.abort)
-
-    def _stop(self) -> None:
-        if self._deadline is not None:
-            self._deadline.cancel()
-            self._deadline = None

@@ -1,90 +1,58 @@
-"""The web application: the page's files, a JSON API, and the WebSocket for playing."""
+"""The web application: the page's files, and the WebSocket over which a session is played."""
 
 import asyncio
-import json
 import socket as sockets
-from collections.abc import AsyncIterator, Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
-from functools import partial
 from pathlib import Path
 from time import monotonic
 
-import numpy as np
 import uvicorn
 from starlette.applications import Starlette
 from starlette.middleware import Middleware
 from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route, WebSocketRoute
-from starlette.websockets import WebSocket
+from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from magical.demos.store.trajectory import Trajectory
-from magical.demos.store.writer import DatasetWriter
-from magical.envs.ids import EnvId
-from magical.errors import MagicalError, ServerError
+from magical.errors import MagicalError
 from magical.render import warm_up
-from magical_play import frames
-from magical_play.connection import Close, Connection
-from magical_play.library.routes import Library
-from magical_play.messages import MAX_BYTES
-from magical_play.players import Players
-from magical_play.policies import Policies
-from magical_play.security import HEADERS, Guard, GuardMiddleware, TimedProtocol
+from magical_play.episodes import SAMPLES
+from magical_play.messages import MAX_BYTES, MessageError, parse_message
+from magical_play.security import HEADERS, Guard, GuardMiddleware
 from magical_play.session import Session
 
 PAGE = Path(__file__).parent / "page"
-SCRIPTS = ("chart", "common", "grid", "input", "look", "main", "pane", "play")
 PAGE_FILES = {
     "/": ("index.html", "text/html"),
     "/style.css": ("style.css", "text/css"),
-    **{f"/{name}.js": (f"{name}.js", "text/javascript") for name in SCRIPTS},
+    "/main.js": ("main.js", "text/javascript"),
+    "/input.js": ("input.js", "text/javascript"),
 }
-SHUTDOWN_TIME = 2  # s that open connections have to end
-DRIVING_THREADS = 2  # threads that call watched policies
-SWEEP_TIME = 5.0  # s between checks for sessions that were not resumed in time
+SHUTDOWN_TIME = 2  # s that an open connection has to end
+REPLACED = 4001  # the WebSocket's close code when the page was opened elsewhere
+
+
+class ServerError(MagicalError, OSError):
+    """A server that cannot listen on the chosen address."""
 
 
 class PlayServer:
-    """A server's application and the state that its routes share.
+    """A server's application and its session, for one page at a time: a new one replaces another.
 
     Args:
         guard: decides which requests are answered.
-        env_id: the environment in which a new player starts.
-        record: the folder of the dataset to record into; `None`: nothing is recorded.
-        max_players: the maximum number of sessions, each with its own environment.
-        datasets: folders of datasets to view; the dataset being recorded is always listed.
-        runs: run folders, or folders with run folders in them, whose policies can be watched.
-
-    Raises:
-        DatasetError: the recording folder cannot be written, or another folder holds no dataset.
-        RunFolderError: a folder of runs does not exist.
+        session: what is played; it outlives connections.
     """
 
-    def __init__(
-        self,
-        guard: Guard,
-        env_id: EnvId,
-        *,
-        record: Path | None = None,
-        max_players: int = 16,
-        datasets: Sequence[Path] = (),
-        runs: Sequence[Path] = (),
-    ) -> None:
-        recorded = [record] if record else []
-        folders = {path.resolve(): path for path in [*datasets, *recorded]}
-        policies = Policies(runs, [env_id.task])
-        rng = np.random.default_rng()  # samples the seeds of scenes
-        self._writer = DatasetWriter(record) if record else None
-        self._saving: set[asyncio.Task[None]] = set()
-        self._library = Library(list(folders.values()), policies)
-        self._threads = ThreadPoolExecutor(DRIVING_THREADS, "driver")
-        new_session = partial(Session, env_id, rng, policies, record is not None)
-        self.players = Players(new_session, max_players)
+    def __init__(self, guard: Guard, session: Session) -> None:
+        self.session = session
+        self._socket: WebSocket | None = None
+        self._wake = asyncio.Event()  # there may be something to send
+        self._asking: asyncio.Task[None] | None = None
         self.app = Starlette(
             routes=[  # none takes a file path from requests, so none can leave the page's folder
                 *(Route(path, _page_file(*file)) for path, file in PAGE_FILES.items()),
-                *self._library.routes(),
                 WebSocketRoute("/socket", self._play),
             ],
             lifespan=self._lifespan,
@@ -93,56 +61,58 @@ class PlayServer:
 
     @asynccontextmanager
     async def _lifespan(self, _: Starlette) -> AsyncIterator[None]:
-        """Regularly drop expired sessions; at the end, wait for episodes that are being stored."""
-        sweep = asyncio.create_task(self._drop_expired())
+        tasks = [asyncio.create_task(self._run_clock()), asyncio.create_task(self._send())]
         yield
-        sweep.cancel()
-        self._library.close()
-        self._threads.shutdown(wait=True, cancel_futures=True)
-        await asyncio.gather(*self._saving)
+        for task in tasks:
+            task.cancel()
 
     async def _play(self, socket: WebSocket) -> None:
-        """Play over a socket; the URL parameter `session` resumes the session with that key."""
+        """Follow the messages of one page until it leaves or is replaced."""
         await socket.accept()
+        replaced, self._socket = self._socket, socket
+        if replaced:
+            with suppress(RuntimeError):  # meanwhile closed by its page
+                await replaced.close(REPLACED)
+        self.session.joined()
+        self._wake.set()
+        while (event := await socket.receive())["type"] != "websocket.disconnect":
+            if self._socket is socket:
+                self._handle(event.get("text") or "")  # empty: a binary message
+        if self._socket is socket:
+            self._socket = None
+            self.session.pause()
+
+    def _handle(self, text: str) -> None:
         try:
-            key = socket.query_params.get("session")
-            player = self.players.find_or_add(key, monotonic())
-        except MagicalError as error:
-            await socket.send_text(json.dumps({"type": "refused", "reason": str(error)}))
-            await socket.close(Close.FULL)
-            return
-        if key and key != player.key:
-            player.session.note_problem(
-                "Your previous session was not resumed in time and has ended."
-            )
-        await socket.send_text(json.dumps({"type": "hello", "session": player.key}))
-        reason = await Connection(socket, player, self._save, self._threads).run()
-        if reason is Close.IDLE:
-            self.players.remove(player)
-        if reason is not None:
-            with suppress(RuntimeError):  # meanwhile closed by the page
-                await socket.close(reason)
+            self.session.handle(parse_message(text), monotonic())
+        except MessageError as error:
+            self.session.note_problem(error)
+        self._wake.set()
 
-    def _save(self, session: Session, trajectory: Trajectory) -> asyncio.Task[None]:
-        """Start storing an episode in a thread; losing the connection does not stop it."""
-        task = asyncio.create_task(self._store(session, trajectory))
-        self._saving.add(task)
-        task.add_done_callback(self._saving.discard)
-        return task
-
-    async def _store(self, session: Session, trajectory: Trajectory) -> None:
-        assert self._writer is not None  # otherwise a session does not offer to keep anything
-        try:
-            await asyncio.to_thread(self._writer.append, trajectory)
-        except MagicalError as error:
-            session.not_stored(f"Not kept: {error}")
-        else:
-            session.stored()
-
-    async def _drop_expired(self) -> None:
+    async def _send(self) -> None:
         while True:
-            await asyncio.sleep(SWEEP_TIME)
-            self.players.drop_expired(monotonic())
+            await self._wake.wait()
+            self._wake.clear()
+            with suppress(WebSocketDisconnect, RuntimeError):  # closed; `_play` notes it
+                while (socket := self._socket) and (parts := self.session.take_update(monotonic())):
+                    for part in parts:
+                        if isinstance(part, str):
+                            await socket.send_text(part)
+                        else:
+                            await socket.send_bytes(part)
+
+    async def _run_clock(self) -> None:
+        while True:
+            await asyncio.sleep(max(0.0, self.session.step_at - monotonic()))
+            self.session.advance(monotonic())
+            if question := self.session.take_question():
+                self._asking = asyncio.create_task(self._ask(question))
+            self._wake.set()
+
+    async def _ask(self, question: Callable[[], None]) -> None:
+        await asyncio.to_thread(question)  # a network or a planner must not hold up the page
+        self.session.note_change()
+        self._wake.set()
 
 
 def _page_file(name: str, media_type: str) -> Callable[[Request], Response]:
@@ -173,10 +143,9 @@ def listen(host: str, port: int) -> sockets.socket:
 def make_server(app: Starlette) -> uvicorn.Server:
     """The server for an application: `run(sockets=[listening])` serves until it is stopped.
 
-    The renderer is compiled, or loaded from the cache, here, so that the first player need not
-    wait for it.
+    The renderer is compiled, or loaded from the cache, here, so that nobody waits for it later.
     """
-    warm_up(frames.SAMPLES)
+    warm_up(SAMPLES)
     config = uvicorn.Config(
         app,
         lifespan="on",
@@ -185,7 +154,7 @@ def make_server(app: Starlette) -> uvicorn.Server:
         server_header=False,
         headers=list(HEADERS.items()),
         proxy_headers=False,
-        http=TimedProtocol,
+        http="h11",
         ws="websockets-sansio",
         ws_max_size=MAX_BYTES,
         ws_per_message_deflate=False,  # frames are compressed already

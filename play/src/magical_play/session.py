@@ -1,33 +1,47 @@
-"""One player's session: an environment, its clock, and the episode being played.
+"""The session of a server: what is played or watched, its clock, who acts, what is recorded.
 
 Time is passed in, in seconds of any monotonic clock; nothing here waits, reads a clock or knows
 about sockets.
 """
 
-from dataclasses import dataclass
+import json
+import traceback
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
 from enum import StrEnum
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from magical.demos.store.trajectory import Actor, Trajectory
-from magical.envs.ids import EnvId, parse_env_id
-from magical.envs.keys import Control, action_of, controls_of
+from magical import TASKS, get_task
+from magical.demos import Actor, Dataset, DatasetWriter
+from magical.envs import EnvId, parse_env_id
+from magical.envs.keys import Control, action_of
 from magical.envs.seeds import sample_training_seeds
-from magical.errors import MessageError
-from magical.scene import State
+from magical.errors import MagicalError
 from magical.scene.constants import CONTROL_RATE
-from magical_play import messages
-from magical_play.driver import Driver, Proposal
-from magical_play.episode import PlayedEpisode
-from magical_play.frames import render_webp
-from magical_play.messages import PAGE_VIEWS, Message
-from magical_play.policies import Policies
+from magical_play.episodes import PlayedEpisode, RecordedEpisode, in_words, instruction, joined
+from magical_play.messages import (
+    Episodes,
+    Keep,
+    Keys,
+    Message,
+    MessageError,
+    Press,
+    Seek,
+    Show,
+    Speed,
+    Start,
+    Watch,
+)
+from magical_play.policies import Driver, Policies
 
 STEP_TIME = 1.0 / CONTROL_RATE  # s
 POLL_TIME = STEP_TIME / 8  # s between checks whether the policy has chosen its action
 SILENCE_TIME = 2.0  # s without a message from the page, after which a running episode is paused
-IDLE_TIME = 600.0  # s without a key or button press, after which a session ends
+MAX_UNSEEN = 4  # unconfirmed frames, beyond which no more are sent
 
 
 class Phase(StrEnum):
@@ -35,309 +49,336 @@ class Phase(StrEnum):
 
     READY = "ready"  # the first key of an episode
     PLAYING = "playing"  # the clock
-    PAUSED = "paused"  # any key, or `Resume`
-    ENDED = "ended"  # to keep or discard; without recording, the next episode
-    SAVING = "saving"  # the disk
-
-
-@dataclass(frozen=True, slots=True)
-class Question:
-    """A request for a policy's action in the current state; to be answered in a thread."""
-
-    driver: Driver
-    state: State
-    executed: int | None  # the action that led to the state
-
-    def answer(self) -> Proposal:
-        """Ask the policy; raises `MagicalError`."""
-        return self.driver.propose(self.state, self.executed)
+    PAUSED = "paused"  # any key, or to be resumed
+    ENDED = "ended"  # to keep or discard, if the episode can be kept; or the next one
 
 
 class Session:
-    """One player's environment and episode, driven by messages and by the clock.
+    """One person's environment or watched episode, driven by messages and by the clock.
 
     The environment steps at 8 Hz from the first key press to the horizon. A key that was pressed
-    and released between two steps counts for the next one.
-
-    A watched policy acts from the start until a key is pressed, and again after control is handed
-    back to it. It is asked in every state, whoever acts: the caller takes each `Question` from
-    `take_question` and passes the answer to `note_proposal`.
+    and released between two steps counts for the next one. A watched policy acts from the start
+    until a key is pressed, and again after control is handed back to it.
 
     Args:
         env_id: the first environment.
-        rng: samples the seeds of scenes.
         policies: the policies that can be watched.
-        recording: whether episodes can be kept.
-        now: the current time, in seconds.
+        datasets: folders of datasets whose episodes can be watched.
+        writer: stores the episodes that are kept; `None`: nothing is recorded.
+        rng: samples the seeds of scenes; by default a new generator.
+
+    Raises:
+        MagicalError: the environment could not be started.
     """
 
     def __init__(
         self,
         env_id: EnvId,
-        rng: np.random.Generator,
         policies: Policies,
-        recording: bool,
-        now: float,
+        datasets: Sequence[Path] = (),
+        writer: DatasetWriter | None = None,
+        rng: np.random.Generator | None = None,
     ) -> None:
-        self.recording = recording
-        self.phase = Phase.READY
         self.view = "allo"
-        self.notice = ""  # tells the player what went wrong
+        self.notice = ""  # says what went wrong
         self.kept = 0  # number of stored episodes
-        self.changes = 0  # counts changes that the page should show; also the frame number
-        self._rng = rng
+        self.step_at = 0.0  # when `advance` should be called next
+        self._policies, self._datasets, self._writer = policies, datasets, writer
+        self._rng = rng or np.random.default_rng()
+        self._tasks = tuple(dict.fromkeys((*TASKS, env_id.task)))  # that the page offers
+        self._seed: int | None = None  # of the episodes; None: each has another
+        self._speed = 1.0  # of watched episodes
         self._held: frozenset[Control] = frozenset()
         self._pressed: frozenset[Control] = frozenset()  # since the last step
-        self.step_at = now  # when `advance` should be called next
-        self._heard_at = now
-        self._input_at = now
-        self._fixed_seed = False  # whether the next episode has the same seed
-        self._pending: Trajectory | None  # the episode to be stored
-        self._policies = policies
-        self._driver: Driver | None  # of the watched policy
-        self._is_handed: bool  # whether the policy acts
-        self._proposal: Proposal | None  # what it chooses in the current state
-        self._asked: bool  # whether the proposal was asked for
+        self._changes = 0  # counts changes that the page should show; also the frame number
+        self._shown = -1  # the change that was sent last
+        self._unseen: deque[int] = deque()  # frames that were sent but not confirmed
+        self._heard_at = 0.0  # when the page spoke last, or got a frame while all were confirmed
+        self._replies: list[Mapping[str, Any]] = []  # to be sent before the next frame
         self._begin(env_id, None, None)
 
-    def joined(self, now: float) -> None:
-        """Note that a page has connected: no keys are held, and a running episode is paused."""
+    # The page
+
+    def joined(self) -> None:
+        """Note that a page has connected: no keys are held; a running episode is paused."""
         self._held = frozenset()
-        self._heard_at = self._input_at = now
-        self._asked = False  # an answer may have been lost with the previous connection
+        self._unseen.clear()
+        self._replies = [self._offer()]
         self.pause()
-        self._changed()
+        self.note_change()
 
-    def pause(self) -> None:
-        """Pause a running episode until the next key press."""
-        self._pressed = frozenset()
-        if self.phase is Phase.PLAYING:
-            self.phase = Phase.PAUSED
-            self._changed()
+    def note_change(self) -> None:
+        """Note that there is something new to show."""
+        self._changes += 1
 
-    def idle(self, now: float) -> bool:
-        """Whether the player has done nothing for `IDLE_TIME`; never while an episode is saved."""
-        return self.phase is not Phase.SAVING and now - self._input_at > IDLE_TIME
+    def note_problem(self, error: Exception) -> None:
+        """Say what went wrong; what is not an error of ours is shown in the terminal too."""
+        self.notice = str(error)
+        if not isinstance(error, MagicalError):
+            traceback.print_exception(error)
+            self.notice = f"{type(error).__name__}: {error}"
+        self.note_change()
 
-    # Messages
+    def take_update(self, now: float) -> list[str | bytes]:
+        """What to send now: replies as JSON, and status and frame if something has changed.
+
+        The page confirms each frame. On a slow connection it gets fewer frames, always the newest,
+        rather than a growing queue.
+        """
+        update: list[str | bytes] = [json.dumps(reply) for reply in self._replies]
+        self._replies = []
+        if self._changes != self._shown and len(self._unseen) < MAX_UNSEEN:
+            self._heard_at = self._heard_at if self._unseen else now
+            self._shown = self._changes
+            self._unseen.append(self._changes)
+            update += [json.dumps(self.status()), self.episode.frame(self.view)]
+        return update
 
     def handle(self, message: Message, now: float) -> None:
-        """Do what a message asks for.
-
-        Raises:
-            MessageError: the message is not allowed in the current phase; the episode is unchanged.
-            MagicalError: an environment could not be started; the old one continues.
-        """
+        """Do what a message asks for, or note why that cannot be done."""
         self._heard_at = now
-        if isinstance(message, messages.Keys):
+        if isinstance(message, Keys):
+            while self._unseen and self._unseen[0] <= message.seen:
+                self._unseen.popleft()
             self._hold(message.held, now)
-            return
-        self._input_at = now
-        self._follow(message)
-        if not isinstance(message, messages.Show):
+        else:
             self.notice = ""
-        self._changed()
+            self._attempt(lambda: self._follow(message))
+            self.note_change()
+        self.advance(now)
+
+    def _attempt(self, work: Callable[[], None]) -> None:
+        """Do what may fail in any way, as a user's task may; the session goes on."""
+        try:
+            work()
+        except Exception as error:
+            self.pause()
+            self.note_problem(error)
 
     def _follow(self, message: Message) -> None:
         match message:
-            case messages.Start(env_id, seed):
+            case Start(env_id, seed, policy):
                 self._require_decision()
-                self._begin(parse_env_id(env_id), seed, self._policy)
-                self._fixed_seed = seed is not None
-            case messages.Restart():
-                self._require_decision()
-                self._begin(self.episode.env_id, self.episode.seed, self._policy)
-            case messages.Pause():
-                self.pause()
-            case messages.Resume() if self.phase is Phase.PAUSED:
-                self.phase = Phase.PLAYING
-            case messages.Show(view):
+                self._begin(parse_env_id(env_id), seed, policy)
+                self._seed = seed
+            case Press(button):
+                getattr(self, button)()
+            case Show(view):
                 self.view = view
-            case messages.Keep(demonstrator):
-                self._require_finished("keep")
-                policy = self._driver.name if self._driver else None
-                self._pending = self.episode.trajectory(demonstrator, self.view, policy)
-                self.phase = Phase.SAVING
-            case messages.Discard():
-                self._require_finished("discard")
-                self._next_episode(self._policy)
-            case messages.Watch(policy):
+            case Keep(demonstrator):
+                self._keep(demonstrator)
+            case Episodes(dataset):
+                self._replies.append(self._list(dataset))
+            case Watch(dataset, episode):
                 self._require_decision()
-                self._next_episode(policy)
-            case messages.HandBack():
-                self._hand_back()
+                self._watch(dataset, episode)
+            case Seek(step):
+                self._seek(step)
+            case Speed(speed):
+                self._speed = speed
 
-    def note_problem(self, problem: str) -> None:
-        """Tell the player what went wrong."""
-        self.notice = problem
-        self._changed()
+    # The buttons of `Press`
 
-    def _hold(self, held: frozenset[Control], now: float) -> None:
-        if held != self._held:
-            self._input_at = now
-        self._pressed |= held - self._held
-        started = bool(held - self._held)
-        self._held = held
-        if started and self._is_handed:
-            self._is_handed = False
-            self._changed()
-        if started and self.phase in (Phase.READY, Phase.PAUSED):
+    def restart(self) -> None:
+        """Restart the episode in the same scene, or show a recorded one from its start."""
+        self._require_decision()
+        if isinstance(self.episode, PlayedEpisode):
+            self._begin(self.episode.env_id, self.episode.seed, self._policy)
+        else:
+            self.episode.steps, self.phase = 0, Phase.PLAYING
+
+    def pause(self, notice: str = "") -> None:
+        """Stop the clock of a running episode, and say why."""
+        self._pressed = frozenset()
+        if self.phase is Phase.PLAYING:
+            self.phase, self.notice = Phase.PAUSED, notice
+            self.note_change()
+
+    def resume(self) -> None:
+        """Start the clock again."""
+        if self.phase is Phase.PAUSED:
             self.phase = Phase.PLAYING
-            self.notice = ""
-            self.step_at = now
-            self._changed()
 
-    def _hand_back(self) -> None:
-        if self._driver is None or self.phase in (Phase.ENDED, Phase.SAVING):
+    def discard(self) -> None:
+        """Drop the finished episode."""
+        self._require_finished("discard")
+        self._begin(self.episode.env_id, self._seed, self._policy)
+
+    def hand_back(self) -> None:
+        """Let the policy act, after the person has taken over or paused it."""
+        if self._driver is None or self.phase is Phase.ENDED:
             raise MessageError("hand back: there is no policy to hand back to")
-        self._is_handed = True
+        self._policy_acts = True
         self._pressed = frozenset()
         self.phase = Phase.PLAYING
 
-    @property
-    def can_keep(self) -> bool:
-        """Whether the episode can be kept once it has ended: if recording and the player acted."""
-        return self.recording and Actor.HUMAN in self.episode.actors
+    # Playing, and watching a policy
 
-    def _require_decision(self) -> None:
-        if self.phase is Phase.SAVING or (self.phase is Phase.ENDED and self.can_keep):
-            raise MessageError("keep or discard this episode first")
-
-    def _require_finished(self, what: str) -> None:
-        if self.phase is not Phase.ENDED or not self.can_keep:
-            raise MessageError(f"{what}: there is no finished episode to {what}")
-
-    # The watched policy
-
-    def take_question(self) -> Question | None:
-        """The question to ask the policy now, once for each state; `None` if there is none."""
-        if self._driver is None or self._asked or self.phase in (Phase.ENDED, Phase.SAVING):
-            return None
-        self._asked = True
-        return Question(self._driver, *self.episode.seen)
-
-    def note_proposal(self, question: Question, proposal: Proposal) -> None:
-        """Note the answer to a question; a late answer has no effect."""
-        if question.driver is self._driver and question.state.step == self.episode.steps:
-            self._proposal = proposal
-            self._changed()
-
-    def note_failure(self, question: Question, problem: str) -> None:
-        """Restart the episode without a policy that has failed."""
-        if question.driver is self._driver:
-            self._begin(self.episode.env_id, self.episode.seed, None)
-            self.note_problem(problem)
-
-    # Storing
-
-    def take_pending(self) -> Trajectory | None:
-        """The episode to be stored, returned once; call `stored` or `not_stored` afterwards."""
-        pending, self._pending = self._pending, None
-        return pending
-
-    def stored(self) -> None:
-        """Note that the pending episode is in the dataset, and start the next one."""
-        self.kept += 1
-        self._next_episode(self._policy)
-        self._changed()
-
-    def not_stored(self, problem: str) -> None:
-        """Note that the pending episode was not stored; the player may retry or discard it."""
-        self.phase = Phase.ENDED
-        self.note_problem(problem)
-
-    # The clock
-
-    def advance(self, now: float) -> None:
-        """Step the environment if a step is due; pause the episode if the page has gone silent.
-
-        After a delay, missed steps are not caught up: the player could not have seen them.
-        """
-        if self.phase is not Phase.PLAYING:
-            self.step_at = now + STEP_TIME
-            return
-        if now < self.step_at:
-            return
-        if self._driver is not None and self._proposal is None:
-            # While waiting, no frame is sent that the page could confirm.
-            self._heard_at += now - self.step_at + POLL_TIME
-            self.step_at = now + POLL_TIME
-            return
-        if now - self._heard_at > SILENCE_TIME:
-            self.pause()
-            self.note_problem("Paused: the page did not respond.")
-            return
-        late = now - self.step_at > STEP_TIME
-        self.step_at = STEP_TIME + (now if late else self.step_at)
-        self._step()
-        self._changed()
-
-    def _step(self) -> None:
-        held, self._pressed = self._held | self._pressed, frozenset()
-        action, actor, chosen = action_of(held), Actor.HUMAN, None
-        if self._driver is not None and self._proposal is not None:
-            chosen = self._proposal.action
-            if self._is_handed:
-                action, actor = chosen, self._driver.actor
-        if self.episode.step(action, actor, chosen):
-            self.phase = Phase.ENDED
-        self._proposal, self._asked = None, False
-
-    # What the page shows
-
-    def status(self) -> dict[str, Any]:
-        """The session's state as plain JSON data."""
-        episode, env = self.episode, self.episode.env
-        driver, proposal, last = self._driver, self._proposal, episode.last_action
-        return {
-            "type": "status",
-            "number": self.changes,
-            "phase": self.phase,
-            "env_id": episode.env_id,
-            "task": episode.env_id.task,
-            "variant": episode.env_id.variant,
-            "seed": episode.seed,
-            "view": self.view,
-            "steps": episode.steps,
-            "horizon": env.horizon,
-            "seconds_left": (env.horizon - episode.steps) * STEP_TIME,
-            "score": env.scores().score,
-            "executed": None if last is None else controls_of(last),
-            "recording": self.recording,
-            "can_keep": self.can_keep,
-            "kept": self.kept,
-            "notice": self.notice,
-            "policy": driver.number if driver else None,
-            "policy_name": driver.name if driver else None,
-            "policy_acts": self._is_handed,
-            "proposed": controls_of(proposal.action) if proposal else None,
-            "probabilities": proposal.probabilities if proposal else None,
-        }
-
-    def frame(self) -> bytes:
-        """The current frame as a WebP file."""
-        state = self.episode.env.state()
-        return render_webp(state.scene, state.poses, PAGE_VIEWS[self.view])
-
-    def _next_episode(self, policy: int | None) -> None:
-        seed = self.episode.seed if self._fixed_seed else None
-        self._begin(self.episode.env_id, seed, policy)
+    def _begin(self, env_id: EnvId, seed: int | None, policy: int | None) -> None:
+        """Begin an episode: at once with a policy, otherwise at the first key press."""
+        chosen = sample_training_seeds(self._rng, 1)[0] if seed is None else seed
+        driver = None if policy is None else self._policies.driver(policy, env_id, chosen)
+        self.episode: PlayedEpisode | RecordedEpisode = PlayedEpisode(env_id, chosen)
+        self._driver: Driver | None = driver
+        self._policy_acts = driver is not None
+        self._pressed = frozenset()
+        self.phase = Phase.READY if driver is None else Phase.PLAYING
 
     @property
     def _policy(self) -> int | None:
         return self._driver.number if self._driver else None
 
-    def _begin(self, env_id: EnvId, seed: int | None, policy: int | None) -> None:
-        """Begin an episode: at once with a policy, otherwise at the first key press."""
-        chosen = sample_training_seeds(self._rng, 1)[0] if seed is None else seed
-        driver = None if policy is None else Driver(self._policies, policy, env_id, chosen)
-        self.episode = PlayedEpisode(env_id, chosen)
-        self._driver = driver
-        self._is_handed = driver is not None
-        self._proposal, self._asked = None, False
-        self._pending = None
-        self.phase = Phase.READY if driver is None else Phase.PLAYING
-        self._pressed = frozenset()
+    def _hold(self, held: frozenset[Control], now: float) -> None:
+        new, self._held = held - self._held, held
+        if not new or isinstance(self.episode, RecordedEpisode):
+            return
+        self._pressed |= new
+        self._policy_acts = False
+        if self.phase in (Phase.READY, Phase.PAUSED):
+            self.phase, self.notice = Phase.PLAYING, ""
+            self.step_at = now
+        self.note_change()
 
-    def _changed(self) -> None:
-        self.changes += 1
+    def take_question(self) -> Callable[[], None] | None:
+        """What asks the policy, once in each state, and may take long; `None`: nothing to ask."""
+        episode, driver = self.episode, self._driver
+        if isinstance(episode, RecordedEpisode) or driver is None or driver.is_asked:
+            return None
+        if self.phase is Phase.ENDED:
+            return None
+        driver.is_asked = True
+        return partial(driver.ask, episode.state, episode.actions[-1] if episode.actions else None)
+
+    # Watching recorded episodes
+
+    def _open(self, number: int) -> Dataset:
+        if number >= len(self._datasets):
+            raise MessageError(f"expected one of {len(self._datasets)} datasets, found {number}")
+        return Dataset.open(self._datasets[number])
+
+    def _list(self, dataset: int) -> Mapping[str, Any]:
+        """The episodes of a dataset, newest first, with their numbers."""
+        listed = []
+        for number, entry in enumerate(self._open(dataset).entries):
+            place = f"{entry.env_id.task} {entry.env_id.variant}"
+            about = f"{place}, {entry.final_score:.2f}, {entry.demonstrator}"
+            listed.append([number, about if entry.seed is None else f"{about}, seed {entry.seed}"])
+        return {"type": "episodes", "dataset": dataset, "episodes": listed[::-1]}
+
+    def _watch(self, dataset: int, number: int) -> None:
+        found = self._open(dataset)
+        if number >= len(found):
+            raise MessageError(f"expected one of {len(found)} episodes, found number {number}")
+        self.episode, self._driver = RecordedEpisode(found[number]), None
+        self.phase = Phase.PLAYING
+
+    def _seek(self, step: int) -> None:
+        if isinstance(self.episode, PlayedEpisode):
+            raise MessageError("seek: expected a recorded episode, found one that is played")
+        self.episode.steps = min(step, self.episode.length)
+        self.phase = Phase.PAUSED
+
+    # Recording
+
+    @property
+    def can_keep(self) -> bool:
+        """Whether the episode can be kept or discarded: it has ended, and a person has acted."""
+        played = isinstance(self.episode, PlayedEpisode) and Actor.HUMAN in self.episode.actors
+        return played and self._writer is not None and self.phase is Phase.ENDED
+
+    def _require_decision(self) -> None:
+        if self.can_keep:
+            raise MessageError("keep or discard this episode first")
+
+    def _require_finished(self, what: str) -> None:
+        if not self.can_keep:
+            raise MessageError(f"{what}: there is no finished episode to {what}")
+
+    def _keep(self, demonstrator: str) -> None:
+        self._require_finished("keep")
+        assert isinstance(self.episode, PlayedEpisode)
+        assert self._writer is not None
+        policy = self._driver.name if self._driver else None
+        self._writer.append(self.episode.trajectory(demonstrator, self.view, policy))
+        self.kept += 1
+        self._begin(self.episode.env_id, self._seed, self._policy)
+
+    # The clock
+
+    def advance(self, now: float) -> None:
+        """Step if a step is due; pause the episode if the page has gone silent.
+
+        After a delay, missed steps are not caught up: nobody could have seen them.
+        """
+        step_time = STEP_TIME / (self._speed if isinstance(self.episode, RecordedEpisode) else 1)
+        if self.phase is not Phase.PLAYING:
+            self.step_at = now + step_time
+        elif now >= self.step_at:
+            if self._unseen and now - self._heard_at > SILENCE_TIME:
+                self.pause("Paused: the page did not respond.")
+            elif self._driver and self._driver.error:
+                error = self._driver.error
+                self._begin(self.episode.env_id, self.episode.seed, None)
+                self.note_problem(error)
+            elif self._driver and self._driver.choice is None:
+                self.step_at = now + POLL_TIME
+            else:
+                late = now - self.step_at > step_time
+                self.step_at = step_time + (now if late else self.step_at)
+                self._attempt(self._step)
+                self.note_change()
+
+    def _step(self) -> None:
+        episode, driver = self.episode, self._driver
+        if isinstance(episode, RecordedEpisode):
+            episode.steps = min(episode.steps + 1, episode.length)
+        else:
+            action, actor, choice = action_of(self._held | self._pressed), Actor.HUMAN, None
+            self._pressed = frozenset()
+            if driver is not None:
+                choice, driver.choice, driver.is_asked = driver.choice, None, False
+                if self._policy_acts and choice is not None:
+                    action, actor = choice, driver.actor
+            episode.act(action, actor, choice)
+        if episode.steps == episode.length:
+            self.phase = Phase.ENDED
+
+    # What the page shows
+
+    def _offer(self) -> Mapping[str, Any]:
+        variants = {name: get_task(name).variants for name in self._tasks}
+        return {
+            "type": "offer",
+            "tasks": {t: {v: EnvId(t, v) for v in names} for t, names in variants.items()},
+            "policies": self._policies.names(),
+            "datasets": list(map(str, self._datasets)),
+        }
+
+    def status(self) -> dict[str, Any]:
+        """The session's state as plain JSON data."""
+        episode, driver = self.episode, self._driver
+        choice = None if driver is None or driver.choice is None else in_words(driver.choice)
+        return {
+            "type": "status",
+            "number": self._changes,
+            "phase": self.phase,
+            "is_recorded": isinstance(episode, RecordedEpisode),
+            "env_id": episode.env_id,
+            "task": episode.env_id.task,
+            "variant": episode.env_id.variant,
+            "seed": episode.seed,
+            "goal": instruction(episode),
+            "view": self.view,
+            "steps": episode.steps,
+            "length": episode.length,
+            "facts": episode.facts(),
+            "executed": episode.executed or [],
+            "recording": self._writer is not None,
+            "can_keep": self.can_keep,
+            "kept": self.kept,
+            "notice": self.notice,
+            "policy": driver.number if driver else None,
+            "policy_name": driver.name if driver else None,
+            "policy_acts": self._policy_acts,
+            "proposed": joined(choice),
+        }

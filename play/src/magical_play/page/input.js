@@ -1,14 +1,14 @@
 // Keys, touch, gamepad: whatever holds a control.
 
-import { element, isField } from "./common.js";
-
 const KEYS = {
   ArrowUp: "forward", ArrowDown: "back", ArrowLeft: "left", ArrowRight: "right", " ": "grip",
 };
 const sources = { keys: new Set(), touch: new Set(), gamepad: new Set() };
 let sentHeld = "";
 let send = () => {}; // a message to the server
-let commands = {}; // what other keys do
+let command = () => false; // does what another key asks for, and says whether it means anything
+
+const isField = (target) => target.matches("input, select, button");
 
 function held() {
   return [...new Set(Object.values(sources).flatMap((source) => [...source]))].sort();
@@ -27,7 +27,7 @@ export function forgetSent() {
   sentHeld = "";
 }
 
-export function release() {
+function release() {
   for (const source of Object.values(sources)) source.clear();
   sendKeys();
 }
@@ -38,25 +38,22 @@ function hold(source, control, down) {
   sendKeys();
 }
 
-export function keyDown(event) {
-  if (event.key === "Escape") return element("stage").focus();
+function keyDown(event) {
+  if (event.ctrlKey || event.metaKey || event.altKey) return;
+  if (event.key === "Escape") return document.getElementById("stage").focus();
   if (isField(event.target)) return;
-  const control = KEYS[event.key];
-  if (control) {
-    event.preventDefault();
-    if (!event.repeat) hold("keys", control, true);
-  } else if (!event.repeat) {
-    commands[event.key.toLowerCase()]?.();
-  }
+  if (event.repeat ? event.key in KEYS : command(event.key)) return event.preventDefault();
+  if (!(event.key in KEYS)) return;
+  event.preventDefault();
+  hold("keys", KEYS[event.key], true);
 }
 
-export function keyUp(event) {
+function keyUp(event) {
   if (event.key in KEYS) hold("keys", KEYS[event.key], false);
 }
 
 function bindPad(button) {
-  const control = button.dataset.control;
-  const press = (down) => hold("touch", control, down);
+  const press = (down) => hold("touch", button.dataset.control, down);
   button.addEventListener("pointerdown", (event) => {
     event.preventDefault();
     button.setPointerCapture(event.pointerId);
@@ -86,15 +83,16 @@ function readGamepads() {
     right: pressed(15) || axis(0, 1),
     grip: pressed(0) || pressed(7),
   };
-  const played = document.body.dataset.page === "play";
-  sources.gamepad = new Set(Object.keys(states).filter((control) => played && states[control]));
+  sources.gamepad = new Set(Object.keys(states).filter((control) => states[control]));
   sendKeys();
   if (pads.length) requestAnimationFrame(readGamepads);
 }
 
-export function bind(sender, named) {
+export function bind(sender, commands) {
   send = sender;
-  commands = named;
+  command = commands;
+  document.addEventListener("keydown", keyDown);
+  document.addEventListener("keyup", keyUp);
   window.addEventListener("blur", release);
   document.addEventListener("focusin", (event) => isField(event.target) && release());
   window.addEventListener("gamepadconnected", () => requestAnimationFrame(readGamepads));
