@@ -82,7 +82,8 @@ def test_a_few_batches_lower_the_losses(samples: list[Sample]) -> None:
 
 def test_the_trained_network_finds_the_blocks_of_scenes() -> None:
     env = gymnasium.make("magical/ClusterShape-TestAll-LoRes4A-v0")
-    scenes = [get_task("ClusterShape").sample("TestAll", np.random.default_rng(i)) for i in range(8)]
+    rng = np.random.default_rng(0)
+    scenes = [get_task("ClusterShape").sample("TestAll", rng) for _ in range(8)]
     frames = [env.reset(options={"scene": scene})[0][..., -3:] for scene, _ in scenes]
     found = FIND_OBJECTS(np.stack(frames))
     for t, (scene, _) in enumerate(scenes):
