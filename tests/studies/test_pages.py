@@ -78,7 +78,7 @@ def made(repository: Path) -> dict[str, list[list[str]]]:
     """The rows of every generated table, by its name."""
     assert pages.main([], repository) == 0
     found = {
-        path.stem: list(csv.reader(path.open(newline="", encoding="utf-8")))
+        path.stem: list(csv.reader(path.read_text(encoding="utf-8").splitlines()))
         for path in repository.glob("studies/*/tables/*.csv")
     }
     for study, name in pages.SHOWN.items():
