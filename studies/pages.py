@@ -1,16 +1,19 @@
-"""Write the generated parts of the studies' pages, and the picture, from their results.
+"""Write the generated tables of the studies, in pages and as CSV, and the picture.
 
 python -m studies.pages [--check]
 
-With --check nothing is written; the exit status is 1 if a page or the picture is out of date.
+With --check nothing is written; the exit status is 1 if a page, a table or the picture is out of
+date.
 """
 
+import csv
 import hashlib
+import io
+import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property, partial
-from operator import attrgetter
 from pathlib import Path
 
 from magical.envs import EnvId
@@ -26,7 +29,8 @@ from magical.tasks.axes import SHORT_VARIANTS
 from studies.generated_tasks.baselines import (
     BESIDE,
     difference_table,
-    held_out_tables,
+    held_out_table,
+    held_out_tasks,
     method_table,
     task_table,
 )
@@ -37,7 +41,6 @@ from studies.published_tables.cells import (
     ComparedCell,
     Count,
     count,
-    distance_text,
     make_cells,
 )
 from studies.published_tables.claims import (
@@ -69,19 +72,27 @@ ROOT = Path(__file__).resolve().parents[1]
 BY_TASK = tuple(
     f"program-bc-{name}" for name in ("human", "perception", "training", "scripted")
 )  # plans shown as a table by task
-SECTIONS = {  # the generated parts of each study's page
-    "published_tables": (
-        *("runs", "counts", "tasks", "far", "agreement", "claims", "orders", "cells", "rejected"),
+SHOWN = {  # the generated table of each study's page
+    "published_tables": "agreement",
+    "demonstrations": "variations",
+    "generated_tasks": "held-out",
+    "intent": "program-bc-human",
+    "modern_baselines": "sequence-learners",
+    "objects": "gaps",
+}
+CSV = {  # the generated tables in each study's folder `tables`
+    "published_tables": ("runs", "counts", "claims", "orders", "cells", "rejected"),
+    "demonstrations": ("variants",),
+    "generated_tasks": ("held-out-tasks",),
+    "intent": (
+        *("program-bc-perception", "program-bc-training", "program-bc-scripted"),
+        *("program-bc-few", "object-networks-human"),
     ),
-    "demonstrations": ("variations", "variants"),
-    "generated_tasks": ("held-out",),
-    "intent": (*BY_TASK, "program-bc-few", "object-networks-human"),
     "modern_baselines": (
-        *("sequence-learners", "sequence-learners-held-out", "sequence-learners-longer"),
-        *("sequence-learners-executed", "executed-differences", "sequence-learners-hundred"),
-        *("iq-learn", "iq-learn-gail"),
+        *("sequence-learners-held-out", "sequence-learners-longer", "sequence-learners-executed"),
+        *("executed-differences", "sequence-learners-hundred", "iq-learn", "iq-learn-gail"),
     ),
-    "objects": ("baseline", "gaps", "object-bc-ablations-human", "leaderboard", "others"),
+    "objects": ("baseline", "object-bc-ablations-human", "leaderboard", "others"),
 }
 EXECUTED = "sequence-learners-executed"
 PICTURE = Path("published_tables", "results.png")
@@ -143,8 +154,6 @@ class Page:
         return {
             "runs": self.runs,
             "counts": self.count_table,
-            "tasks": self.task_table,
-            "far": self.far_cells,
             "claims": self.claim_table,
             "agreement": self.agreement_table,
             "variations": self.variation_table,
@@ -154,7 +163,8 @@ class Page:
             "gaps": self.gap_table,
             "leaderboard": self.leaderboard,
             "others": self.other_tables,
-            "held-out": lambda: held_out_tables(self.root),
+            "held-out": partial(held_out_table, self.root),
+            "held-out-tasks": partial(held_out_tasks, self.root),
             **{name: partial(task_table, self.root, name) for name in BY_TASK},
             **{name: partial(method_table, self.root, name) for name in BESIDE},
             "executed-differences": partial(difference_table, self.root, EXECUTED),
@@ -180,34 +190,6 @@ class Page:
         if method not in self.counts:
             return [*names, NOT_RUN, *[""] * (len(LIMITS) + 2)]
         return [*names, *_count_cells(self.counts[method])]
-
-    def task_table(self) -> str:
-        """Tasks by methods that reproduce a published row: cells within two stds, mean distance."""
-        shown = {
-            m: group_by(cells, attrgetter("task"))
-            for m, cells in self.cells.items()
-            if reproduced_row(m)
-        }
-        rows = [
-            [task, *(_task_cell(tasks.get(task, ())) for tasks in shown.values())]
-            for task in self.tasks
-        ]
-        header = ("Task", *(self.labels[method] for method in shown))
-        return table(header, rows) if shown else NOTHING
-
-    def far_cells(self) -> str:
-        """The cells beyond two pooled standard deviations, by method, of published rows."""
-        lines = []
-        for method in filter(reproduced_row, self.counts):
-            found = self.counts[method]
-            for side, cells in (("below", found.below), ("above", found.above)):
-                if cells:
-                    listed = ", ".join(
-                        f"{cell.task} {cell.variant} ({distance_text(cell.distance)})"
-                        for cell in cells
-                    )
-                    lines.append(f"- {self.labels[method]}, {side}: {listed}")
-        return "\n".join(lines) or ("None." if self.counts else NOTHING)
 
     def claim_table(self) -> str:
         """A row for each claim and part of the environments."""
@@ -302,15 +284,14 @@ class Page:
 
     def rejections(self) -> str:
         """The rejected entries, by reason."""
-        lines = [
-            f"- {listed_names([self._name(entry) for entry in entries])}: "
-            f"{reasons.replace(f'{self.root}/', '')}"
+        rows = (
+            (
+                reasons.replace(f"{self.root}/", ""),
+                listed_names([entry.folder.removeprefix(f"{self.root}/") for entry in entries]),
+            )
             for reasons, entries in by_reasons(self.rejected)
-        ]
-        return "\n".join(lines) or "None."
-
-    def _name(self, entry: Rejected) -> str:
-        return f"`{entry.folder.removeprefix(f'{self.root}/')}`"
+        )
+        return table(("Reason", "Entries"), rows)
 
 
 def _results(root: Path, names: Sequence[str]) -> Found:
@@ -358,22 +339,49 @@ def _count_cells(found: Count) -> list[str]:
     return [str(found.cells), *within, str(len(found.below)), str(len(found.above))]
 
 
-def _task_cell(cells: Sequence[ComparedCell]) -> str:
-    if not cells:
-        return NOT_RUN
-    mean = sum(cell.distance for cell in cells) / len(cells)
-    return f"{count(cells).within[-1]} of {len(cells)} ({distance_text(mean)})"
+def as_csv(text: str) -> str:
+    """The Markdown tables of a text as CSV; what stands above a table begins each of its rows."""
+    file = io.StringIO()
+    write = csv.writer(file, lineterminator="\n").writerow
+    above, header = "", ""
+    for line in filter(None, text.splitlines()):
+        if not line.startswith("|"):
+            above, header = line.strip("# :"), ""
+        elif not set(line) <= set("| -"):
+            cells = [_plain(cell) for cell in line.strip("|").split("|")]
+            if not header:
+                header = line
+                cells = ["", *cells] if above else cells
+            elif above:
+                cells = [above, *cells]
+            write(cells)
+    return file.getvalue()
+
+
+def _plain(cell: str) -> str:
+    """A cell without Markdown."""
+    cell = re.sub(r"\[([^\]]+)\]\([^)]+\)", r"\1", cell).replace("<br>", "; ")
+    return cell.replace("**", "").replace("`", "").strip()
 
 
 def main(arguments: Sequence[str], root: Path = ROOT) -> int:
-    """Write or check the pages and the picture."""
+    """Write or check the pages, the tables and the picture."""
     page = Page(root)
     picture = root / "studies" / PICTURE
     made = page.sections()
     outdated = False
-    for study, names in SECTIONS.items():
+    for study, name in SHOWN.items():
         readme = root / "studies" / study / "README.md"
-        outdated |= bool(renew_page(arguments, readme, {name: made[name] for name in names}))
+        outdated |= bool(renew_page(arguments, readme, {name: made[name]}))
+    for study, names in CSV.items():
+        for name in names:
+            file, text = root / "studies" / study / "tables" / f"{name}.csv", as_csv(made[name]())
+            if "--check" not in arguments:
+                file.parent.mkdir(exist_ok=True)
+                file.write_text(text, encoding="utf-8")
+            elif not file.is_file() or file.read_text(encoding="utf-8") != text:
+                print(f"{file}: out of date; python -m studies.pages writes it")
+                outdated = True
     if "--check" in arguments:
         return int(outdated or digest_of(picture) != page.digest)
     write_picture(picture, page.panels, page.tasks, page.digest)

@@ -58,25 +58,36 @@ ENDS = (SHORT_VARIANTS[0], SHORT_VARIANTS[-1])  # Demo and All
 Runs = Sequence[Sequence[RolloutScore]]
 
 
-def held_out_tables(root: Path) -> str:
-    """Tasks by methods, Demo and All; then methods by variants, means over tasks."""
-    study = root / "studies" / "generated_tasks"
-    plan = PlanResults.read(root, PLAN)
-    folders = [*(study / "results" / name for name in (RANDOM, PLAN)), *others(root)]
-    methods = {marked(name, of): _scores(of) for name, of in read_methods(folders).items()}
+def held_out_tasks(root: Path) -> str:
+    """Held-out tasks by methods: scores on Demo and All."""
+    methods = _held_out_methods(root)
+    experts = _expert_scores(root / "studies" / "generated_tasks" / "expert.csv")
     header = ("Task", "Expert", *(f"{name} ({_runs(runs)})" for name, runs in methods.items()))
-    experts = _expert_scores(study / "expert.csv")
     rows = [
         [task, _pair(experts[task]), *(_pair(_ends(runs, task)) for runs in methods.values())]
-        for task in plan.plan["tasks"]
+        for task in PlanResults.read(root, PLAN).plan["tasks"]
     ]
-    tasks = plan.plan["tasks"]
-    variants = [
-        [name, *(_over_tasks(runs, tasks, v) for v in SHORT_VARIANTS), _across_tasks(runs, tasks)]
-        for name, runs in methods.items()
+    return table(header, rows)
+
+
+def held_out_table(root: Path) -> str:
+    """Methods by variants: means over held-out tasks."""
+    tasks = PlanResults.read(root, PLAN).plan["tasks"]
+    rows = [
+        [
+            f"{name} ({_runs(runs)})",
+            *(_over_tasks(runs, tasks, v) for v in SHORT_VARIANTS),
+            _across_tasks(runs, tasks),
+        ]
+        for name, runs in _held_out_methods(root).items()
     ]
-    titles = ("Mean over tasks", *SHORT_VARIANTS, "All, interval over tasks")
-    return f"{table(header, rows)}\n\n{table(titles, variants)}"
+    return table(("Mean over tasks", *SHORT_VARIANTS, "All, interval over tasks"), rows)
+
+
+def _held_out_methods(root: Path) -> Mapping[str, Runs]:
+    results = root / "studies" / "generated_tasks" / "results"
+    folders = [*(results / name for name in (RANDOM, PLAN)), *others(root)]
+    return {marked(name, of): _scores(of) for name, of in read_methods(folders).items()}
 
 
 def others(root: Path) -> Iterable[Path]:

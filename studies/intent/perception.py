@@ -1,7 +1,6 @@
 """Learned perception: a small network that finds the objects of frames, trained on random scenes.
 
 python -m studies.intent.perception train [--batches 7000] [--out FILE]
-python -m studies.intent.perception measure
 
 `FIND_OBJECTS` takes the place of the parser in `object-bc` and `program-bc`:
 
@@ -31,7 +30,6 @@ from magical.scene.constants import BLOCK_SIZE, FINGER_OPEN, FRAME_SIZE, SIDES, 
 from magical.scene.poses import EYES, FINGERS
 from magical_goals.objects.components import MAX_REGIONS, VIEW_HALF, Pixels
 from magical_goals.objects.parser import ABSENT, FAR, MAX_BLOCKS, ParsedFrames
-from studies.objects.object_parser import measure
 
 WEIGHTS = Path(__file__).with_name("perception.pt")
 STRIDE = 4  # pixels of a cell
@@ -294,13 +292,8 @@ def main() -> None:
     training = commands.add_parser("train")
     training.add_argument("--batches", type=int, default=7000)
     training.add_argument("--out", type=Path, default=WEIGHTS, help="default: what is in use")
-    measuring = commands.add_parser("measure")
-    measuring.add_argument("--episodes", type=int, default=1, help="of each environment")
     args = parser.parse_args()
-    if args.command == "train":
-        train(args.batches, args.out)
-    else:
-        measure(args.episodes, FIND_OBJECTS)
+    train(args.batches, args.out)
 
 
 if __name__ == "__main__":

@@ -1,5 +1,6 @@
 """The page of results: made from the results alone, and honest about what is not there."""
 
+import csv
 import json
 import shutil
 from collections.abc import Callable
@@ -73,40 +74,35 @@ def change_entries(folder: Path, change: Callable[[str, dict[str, Entry]], None]
     write_collection(results, entries)
 
 
-def made(repository: Path) -> str:
+def made(repository: Path) -> dict[str, list[list[str]]]:
+    """The rows of every generated table, by its name."""
     assert pages.main([], repository) == 0
-    return "".join(pages_of(repository).values())
+    found = {
+        path.stem: list(csv.reader(path.read_text(encoding="utf-8").splitlines()))
+        for path in repository.glob("studies/*/tables/*.csv")
+    }
+    for study, name in pages.SHOWN.items():
+        page = (repository / "studies" / study / "README.md").read_text()
+        section = page.partition(f"<!-- {name} -->\n")[2].partition("<!-- end -->")[0]
+        found[name] = list(csv.reader(pages.as_csv(section).splitlines()))
+    return found
 
 
-def pages_of(repository: Path) -> dict[str, str]:
-    return {n: (repository / "studies" / n / "README.md").read_text() for n in pages.SECTIONS}
-
-
-def section(text: str, name: str) -> str:
-    return text.partition(f"<!-- {name} -->\n")[2].partition("<!-- end -->")[0]
-
-
-def lines(text: str, name: str, start: str) -> list[list[str]]:
-    """The rows of a section's tables that begin with a text, as cells."""
-    rows = [line.strip("| ").split(" | ") for line in section(text, name).splitlines()]
+def starting(rows: list[list[str]], start: str) -> list[list[str]]:
     return [row for row in rows if row[0].startswith(start)]
 
 
 def test_without_results_everything_is_not_run(repository: Path) -> None:
-    text = made(repository)
+    tables = made(repository)
     for plan in PLANS:
-        ((_, runs, *_, missing),) = lines(text, "runs", f"[{plan}](")
+        ((_, runs, *_, missing),) = [row for row in tables["runs"] if row[0] == plan]
         assert runs == f"0 of {missing.removesuffix(' not run')}"
-    assert lines(text, "counts", "BC (ST) ") == []
-    assert "BC (ST) | the same | not run |" in section(text, "counts")
-    assert [row[0] for row in lines(text, "gaps", "")[2:]] == [
-        "BC (ST), published",
-        "GAIL (ST), published",
-    ]
-    for name in ("tasks", "far", "agreement", "orders", "cells", "others"):
-        assert section(text, name) == "Nothing yet: not run.\n"
-    assert section(text, "rejected") == "None.\n"
-    claims = lines(text, "claims", "augmentation helps BC:")
+    assert ["BC (ST)", "the same", "not run", "", "", "", ""] in tables["counts"]
+    assert [row[0] for row in tables["gaps"][1:]] == ["BC (ST), published", "GAIL (ST), published"]
+    for name in ("agreement", "orders", "cells", "others"):
+        assert tables[name] == []
+    assert len(tables["rejected"]) == 1
+    claims = starting(tables["claims"], "augmentation helps BC:")
     assert [row[-2:] for row in claims] == [["not run", "–"]] * 2
     assert claims[0][2].startswith("+0.09 [")
 
@@ -115,39 +111,40 @@ def test_cells_by_hand(repository: Path) -> None:
     for seed, score in enumerate((0.9, 1.0)):
         write_run(repository, "bc-human", "BC (ST)", "MoveToRegion", seed, score)
         write_run(repository, "object-bc", "object-bc (ST)", "MoveToRegion", seed, score)
-    text = made(repository)
-    ((_, runs, hours, minutes, version, missing),) = lines(text, "runs", "[bc-human](")
+    tables = made(repository)
+    ((_, runs, hours, minutes, version, missing),) = [
+        row for row in tables["runs"] if row[0] == "bc-human"
+    ]
     assert (runs, hours, minutes) == ("2 of 40", "0.1", "2.0")
     assert (version, missing) == (__version__, "1 failed, 37 not run")
     # Demo: 0.95 less 0.89, over the root of (2 x 0.05^2 + 4 x 0.11^2) / 5.
     distance = (0.95 - 0.89) / np.sqrt((2 * 0.05**2 + 4 * 0.11**2) / 5)
-    ((_, demo, *_),) = lines(text, "cells", "MoveToRegion (2 runs)")
-    assert demo == f"0.95 ± 0.07<br>0.89 ± 0.11<br>+{distance:.1f}"
+    assert tables["cells"][1][:3] == [
+        "BC (ST)", "MoveToRegion (2 runs)", f"0.95 ± 0.07; 0.89 ± 0.11; +{distance:.1f}"
+    ]  # fmt: skip
     ((_, published, cells, _, within_two, below, above),) = [
-        row for row in lines(text, "counts", "BC (ST)") if row[0] == "BC (ST)"
+        row for row in tables["counts"] if row[0] == "BC (ST)"
     ]
     assert (published, cells, below, above) == ("the same", "6", "0", "3")
     assert within_two.startswith("3 (")
-    ((_, _, tasks, ours, *_, verdict), _) = lines(text, "agreement", "BC (ST)")
+    ((_, _, tasks, ours, *_, verdict), _) = starting(tables["agreement"], "BC (ST)")
     assert (tasks, ours) == ("MoveToRegion", "0.95 [0.63, 1.00]")  # 0.95 ± 6.31 x 0.05
     assert verdict == "open"
-    assert section(text, "far").startswith("- BC (ST), above: MoveToRegion All (+10.8), ")
-    assert lines(text, "tasks", "MoveToCorner") == [["MoveToCorner", "not run"]]
     # A row that was not published has a table of its own.
-    assert section(text, "others").startswith("### object-bc (ST)\n")
-    assert lines(text, "others", "MoveToRegion")[0][1] == "0.95 ± 0.07"
-    assert all("object-bc" not in section(text, name) for name in ("cells", "counts"))
+    assert tables["others"][1][:3] == ["object-bc (ST)", "MoveToRegion", "0.95 ± 0.07"]
+    assert not [row for name in ("cells", "counts") for row in tables[name] if "object" in row[0]]
 
 
 def test_the_object_centred_learner_has_a_baseline_from_the_same_demonstrations(
     repository: Path,
 ) -> None:
     write_run(repository, "object-bc", "object-bc (ST)", "MoveToRegion", 0, 0.75)
-    assert section(made(repository), "baseline") == "Nothing yet: not run.\n"
+    assert made(repository)["baseline"] == []
     hundred = "BC (ST), 100 perturbed experts"
     write_run(repository, "bc-perturbed-100", hundred, "MoveToRegion", 0, 0.5)
-    found = lines(made(repository), "baseline", "MoveToRegion")
-    assert found == [["MoveToRegion (1 runs)", "0.75", "0.50", "0.75", "0.50"]]
+    assert made(repository)["baseline"][1:] == [
+        ["MoveToRegion (1 runs)", "0.75", "0.50", "0.75", "0.50"]
+    ]
 
 
 def test_every_table_of_methods_marks_looks_and_class(repository: Path) -> None:
@@ -168,11 +165,11 @@ def test_every_table_of_methods_marks_looks_and_class(repository: Path) -> None:
     ):
         folder = write_run(repository, plan, method, "MoveToRegion", 0, 0.5)
         change_entries(folder, state)
-    text = made(repository)
-    for name in ("counts", "tasks", "far", "agreement", "orders", "cells", "baseline", "others"):
-        assert "† [B]" in section(text, name), name
+    tables = {name: str(rows) for name, rows in made(repository).items()}
+    for name in ("counts", "agreement", "orders", "cells", "baseline", "others"):
+        assert "† [B]" in tables[name], name
     for name in ("object-networks-human", "program-bc-human"):
-        assert "human† [B] (1 run)" in section(text, name)
+        assert "human† [B] (1 run)" in tables[name]
 
 
 def test_a_change_is_shown_variant_by_variant(repository: Path) -> None:
@@ -180,11 +177,11 @@ def test_a_change_is_shown_variant_by_variant(repository: Path) -> None:
     write_run(repository, "bc-human", "BC (ST)", "MoveToCorner", 0, 0.5)
     write_run(repository, "bc-scripted", scripted, "MoveToCorner", 0, 0.74)
     one = ["+0.24", "+0.24", "", "+0.24", "+0.24", "", "+0.24", "+0.24"]  # one run: no interval
-    assert lines(made(repository), "variants", "scripted experts")[0][1:] == one
+    assert starting(made(repository)["variants"], "scripted experts")[0][1:] == one
     write_run(repository, "bc-human", "BC (ST)", "MoveToCorner", 1, 0.5)
     write_run(repository, "bc-scripted", scripted, "MoveToCorner", 1, 0.76)
-    two = [cell and "+0.25<br>[+0.12, +0.38]" for cell in one]
-    assert [row[1:] for row in lines(made(repository), "variants", "")[2:]] == [two]
+    two = [cell and "+0.25; [+0.12, +0.38]" for cell in one]
+    assert [row[1:] for row in made(repository)["variants"][1:]] == [two]
 
 
 def test_entries_that_do_not_count_are_listed_by_reason(repository: Path) -> None:
@@ -196,14 +193,16 @@ def test_entries_that_do_not_count_are_listed_by_reason(repository: Path) -> Non
         entries[key] = replace(entries[key], version="9.0.0")
 
     change_entries(folder, spoil)
-    text = made(repository)
+    tables = made(repository)
     for name in ("cells", "leaderboard"):
-        assert section(text, name) == "Nothing yet: not run.\n"
-    other, ranked, foreign = section(text, "rejected").splitlines()
-    path = folder.relative_to(repository)
-    assert other.startswith(f"- `{path}`: made by version 9.0.0")
-    assert foreign == "- `studies`: BC (ST), mine is a method of none of the plans"
-    assert ranked.startswith(f"- `{path}/leaderboard`: nudge 0, expected 1e-09")
+        assert tables[name] == []
+    _, other, ranked, foreign = tables["rejected"]
+    path = str(folder.relative_to(repository))
+    assert other[0].startswith("made by version 9.0.0")
+    assert other[1] == path
+    assert foreign == ["BC (ST), mine is a method of none of the plans", "studies"]
+    assert ranked[0].startswith("nudge 0, expected 1e-09")
+    assert ranked[1] == f"{path}/leaderboard"
 
 
 def write_leaderboard_entry(folder: Path, score: float) -> None:
@@ -235,15 +234,17 @@ def test_the_leaderboards_evaluations_are_ranked_and_shown_nowhere_else(
     folder = write_run(repository, plan, "BC (ST)", "MoveToRegion", 0, 0.5)
     before = made(repository)
     write_leaderboard_entry(folder, 0.25)
-    text = made(repository)
-    ((*row, demo, test_all, _, gap_rank),) = lines(text, "leaderboard", "not ranked")
+    tables = made(repository)
+    ((*row, demo, test_all, _, gap_rank),) = [
+        row for row in tables["leaderboard"] if row[0].startswith("not ranked")
+    ]
     few = "not ranked: fewer than 3 runs"
     assert row[:5] == [few, "BC (ST)†", "P", "10 of each task (dataset)", "3"]
     assert row[5:] == ["demonstrations", "rollouts of 1 run"]
     assert demo.startswith("0.25 [")
     assert test_all.startswith("0.25 [")
     assert gap_rank == "–"
-    assert text.replace(section(text, "leaderboard"), section(before, "leaderboard")) == before
+    assert {**tables, "leaderboard": []} == {**before, "leaderboard": []}
 
 
 def test_the_check_finds_a_page_or_a_picture_that_is_out_of_date(
@@ -251,15 +252,14 @@ def test_the_check_finds_a_page_or_a_picture_that_is_out_of_date(
 ) -> None:
     monkeypatch.setattr(pages, "write_picture", write_picture)
     page = repository / "studies" / "published_tables" / "README.md"
-    page.write_text(
-        page.read_text().replace("## Why cells differ\n", "## Why cells differ\n\nX.\n")
-    )
-    assert "\n\nX.\n" in made(repository)  # what is written by hand stays
+    page.write_text(page.read_text().replace("## Limits\n", "## Limits\n\nX.\n"))
+    made(repository)
+    assert "\n\nX.\n" in page.read_text()  # what is written by hand stays
     assert pages.main(["--check"], repository) == 0
     write_run(repository, "bc-human", "BC (ST)", "MoveToRegion", 0, 0.5)
-    before = pages_of(repository)
+    before = page.read_text()
     assert pages.main(["--check"], repository) == 1
-    assert pages_of(repository) == before
+    assert page.read_text() == before
     picture = repository / "studies" / pages.PICTURE
     old = picture.read_bytes()
     made(repository)
@@ -269,5 +269,6 @@ def test_the_check_finds_a_page_or_a_picture_that_is_out_of_date(
     picture.write_bytes(old)
     assert pages.main(["--check"], repository) == 1
     made(repository)
-    page.write_text(page.read_text().replace("1 of 40", "2 of 40"))
+    runs = page.with_name("tables") / "runs.csv"
+    runs.write_text(runs.read_text().replace("1 of 40", "2 of 40"))
     assert pages.main(["--check"], repository) == 1
