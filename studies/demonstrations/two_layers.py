@@ -1,0 +1,8 @@
+"""`light` with the second linear layer of Fig. 11; plans name it as `NETWORK` of this module."""
+
+from dataclasses import replace
+
+from magical.learning.networks import light
+
+NETWORK = replace(light.NETWORK, HIDDEN=(256, 256))
+HIDDEN, make_convolutions = NETWORK.HIDDEN, NETWORK.make_convolutions
