@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from magical.learning.networks import light
+from magical_baselines.networks import light
 
 NETWORK = replace(light.NETWORK, HIDDEN=(256, 256))
 HIDDEN, make_convolutions = NETWORK.HIDDEN, NETWORK.make_convolutions
