@@ -3,19 +3,15 @@
 The counterpart of `magical.tasks.placement`, written from the rules and not from the sampler.
 """
 
-from collections.abc import Iterator, Sequence
-from itertools import combinations, product
+from collections.abc import Sequence
 from math import inf, pi
 
 from magical.errors import InvalidSceneError
-from magical.scene import Scene
-from magical.scene.solids import Solid
+from magical.physics.overlap import Solids
+from magical.scene import Pose, Scene
 from magical.tasks import Axis, Task
 from magical.tasks import validation as v
 from magical.tasks.placement import ANGLE_JITTER, POSITION_JITTER, SIZE_JITTER
-
-Named = tuple[str, Solid]
-Pair = tuple[Named, Named]
 
 
 def check_placement(task: Task, variant: str, scene: Scene, slack: float = v.ROUNDING) -> None:
@@ -29,9 +25,7 @@ def check_placement(task: Task, variant: str, scene: Scene, slack: float = v.ROU
         counts = [(len(s.blocks), len(s.regions)) for s in (demo, scene)]
         near("counts", counts[0], counts[1], (0, 0), 0.0)
     if axes & (Axis.JITTER | Axis.LAYOUT):
-        bodies, regions = v.named_bodies(scene), v.named_regions(scene)
-        v.check_inside({**bodies, **regions}, slack)
-        v.check_apart(kept_apart(task, [*bodies.items()], [*regions.items()]), slack)
+        check_apart(task, scene, slack)
         low, high = task.placement.region_size
         sizes = [size for region in scene.regions for size in (region.height, region.width)]
         middle, half = (low + high) / 2, (high - low) / 2
@@ -55,14 +49,23 @@ def enclosed_blocks(task: Task, blocks: int, regions: int) -> dict[int, int]:
     return {blocks - regions + i: i for i in range(regions * task.placement.encloses)}
 
 
-def kept_apart(task: Task, bodies: list[Named], regions: list[Named]) -> Iterator[Pair]:
-    # The robot is the first body.
-    enclosed = {i + 1: r for i, r in enclosed_blocks(task, len(bodies) - 1, len(regions)).items()}
-    yield from combinations(bodies, 2)
-    yield from combinations(regions, 2)
-    for (i, body), (j, region) in product(enumerate(bodies), enumerate(regions)):
-        if enclosed.get(i) != j:
-            yield body, region
+def check_apart(task: Task, scene: Scene, slack: float) -> None:
+    solids = Solids.cleared()
+    places = [(region, Pose(*region.centre, 0.0)) for region in scene.regions]
+    bodies = [(None, scene.robot), *((block.shape, block.pose) for block in scene.blocks)]
+    enclosed = enclosed_blocks(task, len(scene.blocks), len(scene.regions))
+    allowed = {len(places) + 1 + i: r for i, r in enclosed.items()}
+    placed = []
+    for number, (kind, pose) in enumerate([*places, *bodies]):
+        solid = solids.take(kind)
+        solid.move(pose)
+        if solid.beyond_wall > slack:
+            raise InvalidSceneError(f"{kind} outside the workspace")
+        for other, depth in solids.overlaps(solid):
+            if depth > slack and placed.index(other) != allowed.get(number):
+                raise InvalidSceneError(f"{kind} and {other.kind} overlap")
+        solids.place(solid)
+        placed.append(solid)
 
 
 def check_near_demo(task: Task, jitter: bool, scene: Scene, slack: float) -> None:

@@ -12,7 +12,7 @@ from magical.tasks import TASKS, Axis, Placement, Task, placement
 from magical.tasks.placement import sample_placement
 from tests.tasks.placement_rules import check_placement
 
-SCENES = 1000  # of each environment
+SCENES = 100  # of each environment
 ENVIRONMENTS = [(task, variant) for task in TASKS.values() for variant in task.variants]
 CROWDED = Scene(
     Pose(0.0, 0.0, 0.0),

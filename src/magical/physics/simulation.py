@@ -123,7 +123,8 @@ def add_walls(space: pymunk.Space) -> None:
 
 def add_block(space: pymunk.Space, block: Block, dynamics: Dynamics, group: int) -> pymunk.Body:
     """Add one block with its surface drag; `group` is a collision group for it alone."""
-    body, shapes = _make(block.shape)
+    body = _block_body(block.shape)
+    shapes = block_shapes(body, block.shape)
     body.position, body.angle = block.pose[:2], block.pose.angle
     for shape in shapes:
         shape.friction = c.BLOCK_FRICTION
@@ -138,18 +139,23 @@ def add_block(space: pymunk.Space, block: Block, dynamics: Dynamics, group: int)
     return body
 
 
-def _make(shape: Shape) -> tuple[pymunk.Body, list[pymunk.Shape]]:
+def _block_body(shape: Shape) -> pymunk.Body:
     mass = c.BLOCK_MASS
     if shape == Shape.CIRCLE:
-        body = pymunk.Body(mass, pymunk.moment_for_circle(mass, 0, c.BLOCK_SIZE))
-        return body, [pymunk.Circle(body, c.BLOCK_SIZE)]
+        return pymunk.Body(mass, pymunk.moment_for_circle(mass, 0, c.BLOCK_SIZE))
     outline = block_outline(shape)
     hull = outline[::2] if shape == Shape.STAR else outline  # for a star, the outer vertices
-    body = pymunk.Body(mass, pymunk.moment_for_poly(mass, hull))
+    return pymunk.Body(mass, pymunk.moment_for_poly(mass, hull))
+
+
+def block_shapes(body: pymunk.Body, shape: Shape) -> list[pymunk.Shape]:
+    """The convex shapes of a block, in its body's frame."""
+    if shape == Shape.CIRCLE:
+        return [pymunk.Circle(body, c.BLOCK_SIZE)]
     if shape == Shape.STAR:
-        return body, [pymunk.Poly(body, part) for part in _star_parts()]
+        return [pymunk.Poly(body, part) for part in _star_parts()]
     margin = c.SQUARE_MARGIN if shape == Shape.SQUARE else 0.0
-    return body, [pymunk.Poly(body, outline, None, margin)]
+    return [pymunk.Poly(body, block_outline(shape), None, margin)]
 
 
 @cache

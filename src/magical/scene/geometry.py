@@ -1,13 +1,8 @@
-"""Outlines of blocks and robot, transforms, and exact overlap tests between convex pieces.
-
-A shape is a list of convex `Piece`s: polygons (counter-clockwise vertices) grown by a radius, or
-discs (one vertex grown by a radius). Source: docs/specification.md, sections 2, 3, 4 and 8.
-"""
+"""Outlines of blocks and robot, and transforms (docs/specification.md, sections 2, 3 and 8)."""
 
 import math
 from collections.abc import Iterable
 from functools import cache
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,13 +13,6 @@ from magical.scene.vocabulary import Shape
 
 Point = tuple[float, float]
 Polygon = tuple[Point, ...]
-
-
-class Piece(NamedTuple):
-    """A convex polygon, or a point, grown by `radius`."""
-
-    vertices: Polygon
-    radius: float = 0.0
 
 
 def rotate(point: Point, angle: float) -> Point:
@@ -91,77 +79,11 @@ def block_outline(shape: Shape) -> Polygon:
 
 
 @cache
-def block_pieces(shape: Shape) -> tuple[Piece, ...]:
-    """Convex pieces of a block for collisions, in its own frame."""
-    if shape == Shape.CIRCLE:
-        return (Piece(((0.0, 0.0),), c.BLOCK_SIZE),)
-    outline = block_outline(shape)
-    if shape == Shape.SQUARE:
-        return (Piece(outline, c.SQUARE_MARGIN),)
-    if shape == Shape.PENTAGON:
-        return (Piece(outline),)
-    kites = [(outline[i - 1], outline[i], outline[i + 1], (0.0, 0.0)) for i in range(0, 10, 2)]
-    return tuple(Piece(kite) for kite in kites)
-
-
-@cache
-def robot_pieces() -> tuple[Piece, ...]:
-    """Convex pieces of the robot with open fingers, in its own frame."""
-    pieces = [Piece(((0.0, 0.0),), c.ROBOT_RADIUS)]
-    for side in c.SIDES:
-        finger = Pose(side * c.FINGER_ROOT_X, c.FINGER_ROOT_Y, -side * c.FINGER_OPEN)
-        pieces += place((Piece(polygon) for polygon in finger_polygons(side)), finger)
-    return tuple(pieces)
-
-
-def place(pieces: Iterable[Piece], pose: Pose) -> tuple[Piece, ...]:
-    """Pieces given in a body's frame, in workspace coordinates."""
-    x0, y0, angle = pose
-    cos, sin = math.cos(angle), math.sin(angle)
+def robot_polygons() -> tuple[Polygon, ...]:
+    """The polygons of both open fingers in the robot's frame."""
+    roots = [Pose(s * c.FINGER_ROOT_X, c.FINGER_ROOT_Y, -s * c.FINGER_OPEN) for s in c.SIDES]
     return tuple(
-        Piece(
-            tuple((x0 + (cos * x - sin * y), y0 + (sin * x + cos * y)) for x, y in piece.vertices),
-            piece.radius,
-        )
-        for piece in pieces
+        tuple(to_workspace(vertex, root) for vertex in polygon)
+        for side, root in zip(c.SIDES, roots, strict=True)
+        for polygon in finger_polygons(side)
     )
-
-
-def depth(a: Piece, b: Piece) -> float:
-    """How far two pieces overlap along the best separating direction; negative when apart.
-
-    The separating axis test over edge normals and, if a piece is rounded, vertex pairs.
-    """
-    return min(_depths(a, b))
-
-
-def penetrates(a: Piece, b: Piece) -> bool:
-    """Whether `depth(a, b) > 0`; stops at the first direction that separates the two."""
-    return all(along > 0.0 for along in _depths(a, b))
-
-
-def _depths(a: Piece, b: Piece) -> Iterable[float]:
-    for nx, ny in _axes(a, b):
-        a_along = [nx * x + ny * y for x, y in a.vertices]
-        b_along = [nx * x + ny * y for x, y in b.vertices]
-        gap = max(min(b_along) - max(a_along), min(a_along) - max(b_along))
-        yield a.radius + b.radius - gap
-
-
-def _axes(a: Piece, b: Piece) -> Iterable[Point]:
-    for piece in (a, b):
-        count = len(piece.vertices)
-        for i in range(count if count > 1 else 0):
-            (x0, y0), (x1, y1) = piece.vertices[i], piece.vertices[(i + 1) % count]
-            yield _unit(y1 - y0, x0 - x1)
-    if a.radius or b.radius:
-        for ax, ay in a.vertices:
-            for bx, by in b.vertices:
-                yield _unit(bx - ax, by - ay)
-
-
-def _unit(x: float, y: float) -> Point:
-    length = math.hypot(x, y)
-    if not length:  # of two vertices in one place; every direction bounds the overlap
-        return 1.0, 0.0
-    return x / length, y / length

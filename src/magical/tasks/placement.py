@@ -15,9 +15,8 @@ from typing import NamedTuple
 import numpy as np
 
 from magical.errors import PlacementError
-from magical.scene import Pose, Region, Scene
+from magical.scene import Pose, Region, Scene, Shape
 from magical.scene.constants import WORKSPACE_HALF
-from magical.scene.solids import Silhouette, Solid, block_silhouette, robot_silhouette
 from magical.tasks.axes import Axis
 
 POSITION_JITTER = 0.025  # units, each coordinate
@@ -117,36 +116,35 @@ def _resized(
 
 
 def _attempt(scene: Scene, axes: Axis, rng: np.random.Generator, placement: Placement) -> Scene:
-    regions: list[Solid] = []
-    for i, region in enumerate(scene.regions):
-        what, solid = f"region {i}", Solid.of_region(region)
-        box = _box(solid.pose, axes)._replace(angle=0.0)
-        regions.append(_fit(what, solid.silhouette, box, regions, rng))
-    robot = _fit("the robot", robot_silhouette(), _box(scene.robot, axes), regions, rng)
-    solids, blocks = [*regions, robot], list(scene.blocks)
+    from magical.physics.overlap import Solid, Solids  # imports pymunk: only when one is placed
+
+    solids, blocks = Solids.cleared(), list(scene.blocks)
+
+    def fit(what: str, kind: Shape | Region | None, box: _Box, own: Solid | None = None) -> Solid:
+        """Place a solid apart from those placed already, except for its own region."""
+        solid = solids.take(kind)
+        for _ in range(MAX_PROPOSALS):
+            solid.move(box.sample(rng))
+            if solid.beyond_wall <= 0.0 and all(o is own for o, _ in solids.overlaps(solid)):
+                solids.place(solid)
+                return solid
+        raise PlacementError(f"found no room for {what} in {MAX_PROPOSALS} proposals")
+
+    regions = [
+        fit(f"region {i}", region, _box(Pose(*region.centre, 0.0), axes)._replace(angle=0.0))
+        for i, region in enumerate(scene.regions)
+    ]
+    robot = fit("the robot", None, _box(scene.robot, axes)).pose
     outside = len(blocks) - len(regions)
     for i, block in enumerate(scene.blocks):
-        box, obstacles = _box(block.pose, axes), solids
+        box, own = _box(block.pose, axes), None
         if placement.encloses and i >= outside:
             own = regions[i - outside]
             box = box.around(own.pose, placement.limit(scene.regions[i - outside]))
-            obstacles = [solid for solid in solids if solid is not own]
-        what = f"block {i} ({block.colour} {block.shape})"
-        solid = _fit(what, block_silhouette(block.shape), box, obstacles, rng)
+        solid = fit(f"block {i} ({block.colour} {block.shape})", block.shape, box, own)
         blocks[i] = replace(block, pose=solid.pose)
-        solids.append(solid)
     moved = tuple(
         Region.from_centre(region.colour, *solid.pose[:2], region.height, region.width)
         for region, solid in zip(scene.regions, regions, strict=True)
     )
-    return replace(scene, robot=robot.pose, blocks=tuple(blocks), regions=moved)
-
-
-def _fit(
-    what: str, silhouette: Silhouette, box: _Box, others: list[Solid], rng: np.random.Generator
-) -> Solid:
-    for _ in range(MAX_PROPOSALS):
-        solid = Solid(silhouette, box.sample(rng))
-        if solid.is_inside() and not any(map(solid.overlaps, others)):
-            return solid
-    raise PlacementError(f"found no room for {what} in {MAX_PROPOSALS} proposals")
+    return replace(scene, robot=robot, blocks=tuple(blocks), regions=moved)

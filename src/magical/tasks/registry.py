@@ -49,6 +49,7 @@ class _Tasks(Mapping[str, Task]):
             task = _loaded(name)
             if task.name != name:
                 raise PluginError(f"{GROUP}: expected the task {name!r}, found {task.name!r}")
+            task.validate(task.demo)
             _tasks[name] = task
         return _tasks[name]
 
@@ -61,12 +62,14 @@ def register_task(task: Task) -> Task:
 
     Raises:
         InvalidTaskError: another task already has this name.
+        InvalidSceneError: bodies of its Demo scene overlap, or reach out of the workspace.
     """
     if is_generated(task.name) or _tasks.get(task.name, task) is not task:
         raise InvalidTaskError(
             f"expected a new task name, found {task.name!r}, which is registered already; "
             "choose another"
         )
+    task.validate(task.demo)
     _tasks[task.name] = task
     return task
 

@@ -39,7 +39,7 @@ class Task:
 
     Raises:
         InvalidTaskError: fields that contradict each other.
-        InvalidSceneError: a Demo scene that does not fit the task.
+        InvalidSceneError: a Demo scene that does not fit the task; registering it finds overlaps.
         InvalidProgramError: a program with which no episode can start from the Demo scene.
     """
 
@@ -75,7 +75,7 @@ class Task:
             raise InvalidTaskError(
                 f"{self.name}: expected {needed} for the axis COUNT, found {self.axes}"
             )
-        self.validate(self.demo)
+        self._check_parts(self.demo)
         if self.program is not None and (reason := problem(self.program, self.demo)):
             raise InvalidProgramError(f"{self.name}: {reason}")
 
@@ -161,12 +161,16 @@ class Task:
         Raises:
             InvalidSceneError: it cannot; the message says why and what to change.
         """
+        self._check_parts(scene)
+        validate_scene(scene)
+
+    def _check_parts(self, scene: Scene) -> None:
+        """As `validate`, except for overlaps, which need pymunk."""
         found = len(scene.blocks), len(scene.regions)
         if found[0] > self.max_blocks or found[1] > self.max_regions:
             raise InvalidSceneError(
                 f"{self.name}: expected at most {self.max_blocks} blocks and {self.max_regions} "
                 f"regions, found {found[0]} and {found[1]}; remove some"
             )
-        validate_scene(scene)
         if problem := self.validate_fn(scene):
             raise InvalidSceneError(f"{self.name}: {problem}")

@@ -1,12 +1,8 @@
 """Checks that a scene can be simulated: no overlaps, everything within the workspace."""
 
-from collections.abc import Iterable
-from itertools import combinations
-
 from magical.errors import InvalidSceneError
-from magical.scene import Scene
+from magical.scene import Pose, Scene
 from magical.scene.constants import COLLISION_SLOP
-from magical.scene.solids import Solid
 
 # Units by which bodies may overlap: the solver itself lets bodies in contact overlap by this much,
 # and the published Demo scene of ClusterColour has two blocks that overlap by 0.0095.
@@ -15,19 +11,6 @@ OVERLAP_SLACK = COLLISION_SLOP
 # a square as the fifth block reaches 0.018 into the right wall. The simulation pushes it out.
 WALL_SLACK = 2 * COLLISION_SLOP
 ROUNDING = 1e-9  # units
-
-
-def named_bodies(scene: Scene) -> dict[str, Solid]:
-    """Robot and blocks by the names used in messages."""
-    blocks = {
-        f"block {i} ({b.colour} {b.shape})": Solid.of_block(b) for i, b in enumerate(scene.blocks)
-    }
-    return {"the robot": Solid.of_robot(scene.robot), **blocks}
-
-
-def named_regions(scene: Scene) -> dict[str, Solid]:
-    """Goal regions by the names used in messages."""
-    return {f"region {i} ({r.colour})": Solid.of_region(r) for i, r in enumerate(scene.regions)}
 
 
 def validate_scene(scene: Scene) -> None:
@@ -39,29 +22,32 @@ def validate_scene(scene: Scene) -> None:
     Raises:
         InvalidSceneError: the message names the bodies and the depth of the overlap, in units.
     """
-    bodies = named_bodies(scene)
-    check_inside(bodies, WALL_SLACK)
-    check_inside(named_regions(scene), ROUNDING)
-    check_apart(combinations(bodies.items(), 2), OVERLAP_SLACK)
+    from magical.physics.overlap import Kind, Solid, Solids  # imports pymunk
 
+    solids, names = Solids.cleared(), dict[Solid, str]()
 
-def check_inside(solids: dict[str, Solid], slack: float) -> None:
-    """Raise `InvalidSceneError` for a solid more than `slack` units beyond the workspace's edge."""
-    for name, solid in solids.items():
-        beyond = solid.beyond_wall()
-        if beyond > slack:
+    def inside(name: str, kind: Kind, pose: Pose, slack: float) -> Solid:
+        solid = solids.take(kind)
+        solid.move(pose)
+        if solid.beyond_wall > slack:
             raise InvalidSceneError(
-                f"scene: {name} at ({solid.pose.x:.3g}, {solid.pose.y:.3g}) reaches {beyond:.3g} "
+                f"scene: {name} at ({pose.x:.3g}, {pose.y:.3g}) reaches {solid.beyond_wall:.3g} "
                 "units outside the workspace [-1, 1] x [-1, 1]; move it inside"
             )
+        return solid
 
-
-def check_apart(pairs: Iterable[tuple[tuple[str, Solid], tuple[str, Solid]]], slack: float) -> None:
-    """Raise `InvalidSceneError` for a pair that overlaps by more than `slack` units."""
-    for (first, a), (second, b) in pairs:
-        depth = a.depth(b)
-        if depth > slack:
-            raise InvalidSceneError(
-                f"scene: {first} and {second} overlap by {depth:.3f} units, expected at most "
-                f"{slack:g}; move them apart"
-            )
+    for i, region in enumerate(scene.regions):
+        inside(f"region {i} ({region.colour})", region, Pose(*region.centre, 0.0), ROUNDING)
+    bodies: list[tuple[str, Kind, Pose]] = [("the robot", None, scene.robot)]
+    for i, block in enumerate(scene.blocks):
+        bodies.append((f"block {i} ({block.colour} {block.shape})", block.shape, block.pose))
+    for name, kind, pose in bodies:
+        solid = inside(name, kind, pose, WALL_SLACK)
+        for other, depth in solids.overlaps(solid):
+            if depth > OVERLAP_SLACK:
+                raise InvalidSceneError(
+                    f"scene: {names[other]} and {name} overlap by {depth:.3f} units, expected at "
+                    f"most {OVERLAP_SLACK:g}; move them apart"
+                )
+        solids.place(solid)
+        names[solid] = name

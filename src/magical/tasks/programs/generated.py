@@ -16,7 +16,6 @@ import numpy as np
 from magical.errors import InvalidProgramError, PlacementError
 from magical.scene import COLOURS, SHAPES, Block, Pose, Region, Scene
 from magical.scene.constants import STAR_OUTER_RADIUS, WORKSPACE_HALF
-from magical.scene.solids import Solid
 from magical.tasks.attributes import cycle_blocks, sample_attributes, sample_count, sample_item
 from magical.tasks.axes import EVERYTHING, Axis
 from magical.tasks.placement import Placement, sample_placement
@@ -136,6 +135,16 @@ def _has_room_for_all_shapes(scene: Scene) -> bool:
         return False
     if any(abs(x) > WORKSPACE_HALF - STAR_OUTER_RADIUS for place in places for x in place):
         return False
-    robot = Solid.of_robot(scene.robot)
-    shaped = (Solid.of_block(replace(b, shape=shape)) for b in scene.blocks for shape in SHAPES)
-    return not any(map(robot.overlaps, shaped))
+    from magical.physics.overlap import Solids  # imports pymunk
+
+    solids = Solids.cleared()
+    robot = solids.take(None)
+    robot.move(scene.robot)
+    solids.place(robot)
+    for block in scene.blocks:
+        for shape in SHAPES:
+            solid = solids.take(shape)
+            solid.move(block.pose)
+            if any(solids.overlaps(solid)):
+                return False
+    return True

@@ -1,0 +1,101 @@
+"""Overlap of bodies and regions, decided by pymunk: for placing them and for checking scenes."""
+
+import math
+import threading
+from collections import defaultdict
+from collections.abc import Iterator
+
+import pymunk
+
+from magical.physics.simulation import block_shapes
+from magical.scene import constants as c
+from magical.scene.geometry import rectangle, robot_polygons
+from magical.scene.scene import Pose, Region
+from magical.scene.vocabulary import Shape
+
+Kind = Shape | Region | None  # a block, a goal region, the robot with open fingers
+AWAY = Pose(1e4, 1e4, 0.0)  # where solids are before they are placed
+_local = threading.local()
+
+
+class Solid:
+    """A block, a goal region or the robot, at a pose that may change.
+
+    Attributes:
+        beyond_wall: how far it reaches beyond the workspace's edge, in units; negative inside.
+    """
+
+    def __init__(self, kind: Kind, group: int) -> None:
+        self.kind, self.pose, self.beyond_wall = kind, AWAY, 0.0
+        self.body = pymunk.Body(body_type=pymunk.Body.STATIC)
+        self.body.position = AWAY[:2]
+        if isinstance(kind, Region):
+            self.shapes = [pymunk.Poly(self.body, rectangle(kind.width, kind.height))]
+        elif kind is None:
+            fingers = [pymunk.Poly(self.body, polygon) for polygon in robot_polygons()]
+            self.shapes = [pymunk.Circle(self.body, c.ROBOT_RADIUS), *fingers]
+        else:
+            self.shapes = block_shapes(self.body, kind)
+        for shape in self.shapes:
+            shape.filter = pymunk.ShapeFilter(group=group)  # does not overlap itself
+
+    def move(self, pose: Pose) -> None:
+        """Move it to another pose."""
+        self.pose, self.body.position, self.body.angle = pose, pose[:2], pose.angle
+        boxes = [shape.cache_bb() for shape in self.shapes]
+        reach = max(max(-b.left, b.right, -b.bottom, b.top) for b in boxes)
+        self.beyond_wall = reach - c.WORKSPACE_HALF
+
+
+class Solids:
+    """Solids, placed one after the other, in a pymunk space that is never stepped.
+
+    A thread's scenes share one: making pymunk's objects would take most of the time.
+    """
+
+    def __init__(self) -> None:
+        self._space = pymunk.Space()
+        self._count = 0
+        self._taken: list[Solid] = []
+        self._spare: dict[Kind, list[Solid]] = defaultdict(list)
+
+    @staticmethod
+    def cleared() -> "Solids":
+        """This thread's, with nothing placed."""
+        if not hasattr(_local, "solids"):
+            _local.solids = Solids()
+        solids: Solids = _local.solids
+        for solid in solids._taken:
+            if isinstance(solid.kind, Region):  # of its own size
+                solids._space.remove(solid.body, *solid.shapes)
+            else:
+                solid.move(AWAY)
+                solids._space.reindex_shapes_for_body(solid.body)
+                solids._spare[solid.kind].append(solid)
+        solids._taken.clear()
+        return solids
+
+    def take(self, kind: Kind) -> Solid:
+        """A solid that is not placed yet."""
+        if spare := self._spare[kind]:
+            solid = spare.pop()
+        else:
+            self._count += 1
+            solid = Solid(kind, self._count)
+            self._space.add(solid.body, *solid.shapes)
+        self._taken.append(solid)
+        return solid
+
+    def place(self, solid: Solid) -> None:
+        """Keep a solid where it has been moved to."""
+        self._space.reindex_shapes_for_body(solid.body)
+
+    def overlaps(self, solid: Solid) -> Iterator[tuple[Solid, float]]:
+        """The placed solids that another overlaps, with how far, in units; by pairs of shapes."""
+        for shape in solid.shapes:
+            for hit in self._space.shape_query(shape):
+                (other,) = (each for each in self._taken if hit.shape in each.shapes)
+                # The sign depends on the order of the two kinds of shapes.
+                depth = max(abs(point.distance) for point in hit.contact_point_set.points)
+                # Of polygons that coincide, Chipmunk finds none.
+                yield other, max(depth, c.BLOCK_SIZE - math.dist(other.pose[:2], solid.pose[:2]))
