@@ -8,7 +8,7 @@ SHELL := /bin/bash
 VENV := .venv
 BIN := $(VENV)/$(if $(filter Windows_NT,$(OS)),Scripts,bin)
 READY := $(VENV)/.ready
-EXTRAS := dev,docs,learning,report,video,minari,lerobot,hub,tensorboard,web
+EXTRAS := dev,docs,learning,human,report,video,minari,hub,tensorboard,web
 # The first interpreter that runs; `make PYTHON=/path/to/python` overrules it.
 PYTHON ?= $(firstword $(foreach name,python3.11 python3.12 python3.13 python3,\
 	$(shell $(name) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $(name))))

@@ -11,9 +11,9 @@ from magical.errors import MissingDependencyError
 EXTRAS = {
     "learning": ("torch", "safetensors"),
     "report": ("jinja2", "matplotlib"),
+    "human": ("pooch",),
     "video": ("av",),
     "minari": ("minari", "h5py"),
-    "lerobot": ("av", "pyarrow"),
     "hub": ("huggingface_hub",),
     "web": ("starlette", "uvicorn", "websockets", "h11"),
     "ray": ("ray",),

@@ -35,12 +35,10 @@ def run(arguments: argparse.Namespace, task: str, share: float, seed: int) -> li
         return read_scores(file)
     demos, out = folder / "demos", folder / "run"
     env_id = EnvId(task, "Demo")
-    missing = arguments.demos - (len(Dataset.open(demos)) if demos.exists() else 0)
-    if missing == arguments.demos:
-        workers = max(arguments.workers, 1)
-        generate(env_id, missing, demos, seed=seed, perturb=share, min_score=1.0, workers=workers)
-    elif missing:
-        raise SystemExit(f"{demos}: expected {arguments.demos} demonstrations; remove it")
+    workers = max(arguments.workers, 1)
+    generate(
+        env_id, arguments.demos, demos, seed=seed, perturb=share, min_score=1.0, workers=workers
+    )
     config = BCConfig.preset(
         "quick", tasks=(task,), demos=str(demos), num_demos=arguments.demos, seed=seed, threads=1
     )

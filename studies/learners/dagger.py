@@ -104,9 +104,8 @@ def rows(arguments: argparse.Namespace) -> Iterator[Row]:
 def ensure_demos(arguments: argparse.Namespace, task: str) -> None:
     """Demonstrations enough for all seeds' subsets."""
     folder = arguments.out / "demos" / task
-    if not folder.exists():
-        number = 2 * bc(arguments, task, 0).demonstrations.num_demos
-        generate(str(EnvId(task, "Demo")), number, folder, workers=arguments.workers)
+    number = 2 * bc(arguments, task, 0).demonstrations.num_demos
+    generate(EnvId(task, "Demo"), number, folder, workers=max(arguments.workers, 1))
 
 
 def say(row: Row) -> None:

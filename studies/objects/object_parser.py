@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical.demos.generate import demonstrate
-from magical.demos.store.reader import TrajectorySource
+from magical.demos.reader import TrajectorySource
 from magical.envs.ids import all_env_ids
 from magical.learning.objects import parser as p
 from magical.learning.objects.perception import Perception

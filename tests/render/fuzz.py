@@ -15,7 +15,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.demos.human.recovery.edges import EdgeFinder
 from magical.errors import MagicalError
 from magical.render import Renderer
 from magical.render.moved_camera import MovedCamera
@@ -87,12 +86,6 @@ def moved(scene: Scene, bodies: Bodies, rng: np.random.Generator) -> None:
     )
 
 
-def searched(scene: Scene, bodies: Bodies, rng: np.random.Generator) -> None:
-    view, frame = View(rng.choice(list(View))), np.zeros((384, 384, 3), np.uint8)
-    finder, wanted = EdgeFinder(scene, view), np.ones(len(bodies), np.bool_)
-    finder.find(bodies, finder.label(frame), float(rng.uniform(0.1, 20.0)), wanted)
-
-
 def outcome(number: int) -> str:
     """What becomes of one mutant: `rendered` or `refused`."""
     rng = np.random.default_rng(number)
@@ -105,7 +98,7 @@ def outcome(number: int) -> str:
         else:
             bodies = poses.bodies
         changed = mutated_bodies(bodies, rng) if rng.integers(3) else bodies
-        (plain, moved, searched)[rng.integers(3)](scene, changed, rng)
+        (plain, moved)[rng.integers(2)](scene, changed, rng)
     except MagicalError:
         return "refused"
     return "rendered"

@@ -40,7 +40,7 @@ def test_a_variant_is_scored_at_every_stage(
 ) -> None:
     plan, demos, out = tmp_path / "tiny.toml", tmp_path / "demos", tmp_path / "out"
     plan.write_text(PLAN)
-    generate(EnvId("MoveToRegion", "Demo"), 1, demos, seed=0, workers=0)
+    generate(EnvId("MoveToRegion", "Demo"), 1, demos, seed=0)
     command = [str(plan), "--demos", str(demos), "--out", str(out), "--rollouts", "1"]
     layout.main([*command, "--every", "8"])
     (run,) = planned_runs(read_plan(plan))

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from magical.demos import Dataset
-from magical.demos.replay import replay
+from magical.demos.summary import replay
 from tests.web.browser import Tab
 from tests.web.driving import names_and_focus, play_expert, text_of
 from tests.web.serving import RunningServer

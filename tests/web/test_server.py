@@ -13,8 +13,8 @@ import pytest
 from websockets.exceptions import InvalidStatus
 
 from magical.demos import Dataset, DatasetWriter
-from magical.demos.replay import replay
-from magical.demos.store import writer
+from magical.demos import dataset as datasets
+from magical.demos.summary import replay
 from magical.envs.keys import controls_of
 from magical.experts import rollout
 from magical.web import connection, security
@@ -147,7 +147,7 @@ def test_a_full_disk_is_said_and_the_episode_can_be_kept_later(
     with server.player() as player:
         play(player)
         with monkeypatch.context() as patch:
-            patch.setattr(writer, "write_atomically", full)
+            patch.setattr(datasets, "write_atomically", full)
             player.send(type="keep", demonstrator="Ada")
             status = player.wait_for(lambda status: "No space left" in status["notice"])
         assert (status["phase"], status["kept"]) == ("ended", 0)

@@ -1,14 +1,14 @@
 """Watching a policy, taking over from it and handing back; what of it is recorded."""
 
 import threading
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from magical.demos import Actor
-from magical.demos.replay import replay
-from magical.demos.store.codec import decode, encode
+from magical.demos import Actor, Dataset, DatasetWriter
+from magical.demos.summary import replay
 from magical.envs.keys import controls_of
 from magical.errors import MessageError, NotFoundError
 from magical.experts import rollout
@@ -54,7 +54,7 @@ def test_a_key_takes_over_and_the_policy_goes_on_when_it_is_handed_back_to() -> 
     assert clocked.status["score"] == 1.0  # the expert recovered from where it was led
 
 
-def test_an_intervention_is_recorded_as_such() -> None:
+def test_an_intervention_is_recorded_as_such(tmp_path: Path) -> None:
     clocked = watched(recording=True)
     clocked.step(3)
     clocked.step(5, LEFT, GRIP)
@@ -63,9 +63,8 @@ def test_an_intervention_is_recorded_as_such() -> None:
     clocked.send(Keep("Ada"))
     found = clocked.session.take_pending()
     assert found is not None
-    stored = decode(encode(found))
-    assert stored.actors is not None
-    assert stored.policy_actions is not None
+    DatasetWriter(tmp_path).append(found)
+    (stored,) = Dataset.open(tmp_path)
     human = stored.actors == Actor.HUMAN
     assert human.sum() == 5
     assert {controls_of(action) for action in stored.actions[human].tolist()} == {(LEFT, GRIP)}

@@ -15,7 +15,7 @@ from time import monotonic
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from magical.demos.store.trajectory import Trajectory
+from magical.demos.trajectory import Trajectory
 from magical.errors import MagicalError, MessageError
 from magical.web.messages import Keys, parse_message
 from magical.web.players import Player

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from magical.demos.reader import ObservationReader
 from magical.demos.record import recorded_trajectory
-from magical.demos.store.reader import ObservationReader
-from magical.demos.store.trajectory import Actor, Trajectory
+from magical.demos.trajectory import Actor, Trajectory
 from magical.envs.ids import EnvId
 from magical.errors import MagicalError, PolicyError
 from magical.evaluation.policy import observation_for

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical.demos.record import recorded_trajectory
-from magical.demos.store.trajectory import Actor, Trajectory
+from magical.demos.trajectory import Actor, Trajectory
 from magical.envs.env import MagicalEnv
 from magical.envs.ids import EnvId
 from magical.scene import State

@@ -19,8 +19,8 @@ from starlette.responses import Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket
 
-from magical.demos.store.trajectory import Trajectory
-from magical.demos.store.writer import DatasetWriter
+from magical.demos.dataset import DatasetWriter
+from magical.demos.trajectory import Trajectory
 from magical.envs.ids import EnvId
 from magical.errors import MagicalError, ServerError
 from magical.render import warm_up

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from magical.demos.store.trajectory import Actor, Trajectory
+from magical.demos.trajectory import Actor, Trajectory
 from magical.envs.ids import EnvId, parse_env_id
 from magical.envs.keys import Control, action_of, controls_of
 from magical.envs.seeds import sample_training_seeds

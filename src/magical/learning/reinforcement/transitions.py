@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from magical.demos import Trajectory
-from magical.demos.store.reader import TrajectorySource
+from magical.demos.reader import TrajectorySource
 from magical.errors import DemonstrationsError
 from magical.learning.reinforcement.replay_buffer import pack, unpack
 from magical.learning.running.checkpoints import StateDict

@@ -14,7 +14,7 @@ from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import BaseRoute, Route
 
-from magical.demos.store.trajectory import Actor
+from magical.demos.trajectory import Actor
 from magical.envs.ids import EnvId, parse_env_id
 from magical.envs.keys import controls_of
 from magical.envs.seeds import sample_training_seeds

@@ -6,10 +6,8 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
-from magical.demos.store import manifest
-from magical.demos.store.dataset import Dataset
-from magical.demos.store.manifest import ManifestEntry
-from magical.demos.store.trajectory import Trajectory
+from magical.demos.dataset import Dataset, Entry
+from magical.demos.trajectory import Trajectory
 from magical.errors import NotFoundError
 
 ROLLOUTS = "rollouts"  # the key of a server's `RolloutSource`
@@ -32,18 +30,17 @@ class DatasetSource:
     @property
     def version(self) -> object:
         """A value that changes whenever the dataset does."""
-        return version_of(self._folder / manifest.NAME)
+        return version_of(self._folder)
 
-    def episodes(self) -> Mapping[int, ManifestEntry]:
-        """The manifest's entries by episode number, which never changes, oldest first."""
-        return {entry.index: entry for entry in self._open().entries}
+    def episodes(self) -> Mapping[int, Entry]:
+        """The dataset's entries by episode number, oldest first."""
+        return dict(enumerate(self._open().entries))
 
     def read(self, number: int) -> Trajectory:
         """The episode with a number; raises `NotFoundError` or `DatasetError`."""
         dataset = self._open()
-        for entry in dataset.entries:
-            if entry.index == number:
-                return dataset.read(entry)
+        if 0 <= number < len(dataset):
+            return dataset[number]
         raise NotFoundError(f"{self.name}: expected the number of an episode, found {number}")
 
     def _open(self) -> Dataset:
@@ -77,7 +74,7 @@ class RolloutSource:
         raise NotFoundError(f"rollout {number} is no longer kept; roll out again")
 
 
-def summary(number: int, episode: Trajectory | ManifestEntry) -> dict[str, Any]:
+def summary(number: int, episode: Trajectory | Entry) -> dict[str, Any]:
     """One row of the list of episodes, as plain JSON data."""
     return {
         "number": number,

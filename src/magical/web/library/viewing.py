@@ -6,7 +6,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from magical.demos.store.trajectory import Trajectory
+from magical.demos.trajectory import Trajectory
 from magical.errors import NotFoundError, TrajectoryError
 from magical.scene import Poses
 from magical.web.frames import encode_webp, render_webp
@@ -44,7 +44,7 @@ class ViewedEpisode:
             "steps": len(episode),
             "views": self.views,
             "has_poses": episode.poses is not None,
-            "is_recovered": episode.is_recovered,
+            "is_recovered": "recovery" in episode.metadata,
             "score": episode.score,
             "published_code_score": episode.published_code_score,
             "scores": self._scores(),
