@@ -15,15 +15,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 ROOT = Path(__file__).resolve().parent
 SHARED = ROOT.parent / "shared"
 # Tests of the studies and of the pages about them, which the source distribution has not.
-collect_ignore = (
-    []
-    if (ROOT / "studies").is_dir()
-    else [
-        "tests/studies",
-        "tests/test_docs.py",
-        "tests/demos/human/recovery/test_fidelity_script.py",
-    ]
-)
+collect_ignore = [] if (ROOT / "studies").is_dir() else ["studies", "test_docs.py"]
 # Human demonstrations, which cannot be part of the repository: the folder of each fixture below.
 # Tests that ask for a fixture are skipped where its folder is missing.
 OUTSIDE = {

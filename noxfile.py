@@ -16,14 +16,14 @@ import nox
 nox.options.error_on_missing_interpreters = False
 nox.options.reuse_existing_virtualenvs = True
 nox.options.sessions = ["tests"]
-EXTRAS = "dev,report,video,minari,lerobot,hub"
+EXTRAS = "dev,human,report,video,minari,hub"
 COMPANIONS = ("baselines[ray,tensorboard]", "goals[learners]", "play")
 PYTHONS = ["3.11", "3.12", "3.13"]
 THIS = ".".join(map(str, sys.version_info[:2]))
 # They start many processes, fuzz, or compare with recordings, and take most of the time.
 LONG = (
-    "studies", "reference", "report", "experts", "demos/export", "demos/human",
-    "demos/store/test_fuzz.py", "render/test_fuzz.py", "test_bench.py", "test_docs.py",
+    "studies", "reference", "report", "experts", "demos",
+    "render/test_fuzz.py", "test_bench.py", "test_docs.py",
     "test_examples.py", "test_packaging.py", "test_plugins.py", "test_written_paths.py",
 )  # fmt: skip
 PINNED = ("--constraint", "constraints.txt")

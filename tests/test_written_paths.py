@@ -26,10 +26,9 @@ settings = { batches = 2, batch_size = 2 }
 EVALUATED = "--task MoveToRegion --variants Demo --rollouts 1"
 TRAINED = "--task MoveToRegion --num-demos 1 --batches 2 --batch-size 2 --preset quick"
 COMMANDS = {  # the command, what it needs, what it writes below --out
-    "import": ("demos import {in}/published --frames-only --workers 1", "", "manifest.jsonl"),
-    "generate": (f"demos generate --env {ENV} -n 1 --workers 1", "", "manifest.jsonl"),
-    "video": ("demos video {in}/demos", "", ".webp"),
-    "lerobot": ("demos export {in}/demos --to lerobot", "av pyarrow", "meta/info.json"),
+    "import": ("demos import {in}/published --workers 1", "", "000000.npz"),
+    "generate": (f"demos generate --env {ENV} -n 1 --workers 1", "", "000000.npz"),
+    "video": ("demos video {in}/demos", "av", ".mp4"),
     "minari": ("demos export {in}/demos --to minari", "minari", "magical"),
     "evaluate": (f"evaluate noop {EVALUATED}", "", "entry.json"),
     "report": ("report {in}/entry", "jinja2 matplotlib", ".html"),

@@ -84,7 +84,7 @@ def test_the_next_command_imports_a_task_that_the_package_lacks(
     try:
         env_id, actions = EnvId("MoveThere", "Demo"), np.ones(5, np.int64)
         poses = np.stack([Poses.at_rest(task.demo).bodies] * 6)
-        shown = Trajectory.from_poses(env_id, task.demo, actions, poses, demonstrator="random")
+        shown = Trajectory.from_bodies(env_id, task.demo, actions, poses, demonstrator="random")
         writer = DatasetWriter(tmp_path / "demos")
         writer.append(shown)
         writer.append(shown)

@@ -10,9 +10,9 @@ from magical.errors import MissingDependencyError
 # Top-level modules by extra.
 EXTRAS = {
     "report": ("jinja2", "matplotlib"),
+    "human": ("pooch",),
     "video": ("av",),
     "minari": ("minari", "h5py"),
-    "lerobot": ("av", "pyarrow"),
     "hub": ("huggingface_hub",),
 }
 

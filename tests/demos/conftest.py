@@ -38,7 +38,7 @@ def make_trajectory() -> MakeTrajectory:
             simulation.step(POINTS[action])
             bodies.append(simulation.read())
         options = {"dynamics": dynamics, "seed": seed, "demonstrator": "random", **more}
-        return Trajectory.from_poses(env_id, scene, actions, np.stack(bodies), **options)
+        return Trajectory.from_bodies(env_id, scene, actions, np.stack(bodies), **options)
 
     return make
 

@@ -1,5 +1,6 @@
 """Demonstrations from the scripted experts."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -8,9 +9,9 @@ import numpy as np
 import pytest
 
 from magical.cli import main
-from magical.demos import Dataset
+from magical.demos import Dataset, DatasetWriter
 from magical.demos.generate import demonstrate, generate
-from magical.demos.replay import replay
+from magical.demos.summary import replay
 from magical.envs.seeds import episode_seed
 from magical.errors import DatasetError, InvalidConfigError, InvalidSceneError
 from tests.demos.conftest import Run
@@ -19,7 +20,7 @@ ENV = "magical/MoveToRegion-TestAll-v0"
 
 
 def poses(path: Path) -> list[bytes]:
-    return [t.poses.tobytes() for t in Dataset.open(path) if t.poses is not None]
+    return [t.bodies.tobytes() for t in Dataset.open(path)]
 
 
 def test_result_depends_on_the_seed_alone(tmp_path: Path) -> None:
@@ -51,8 +52,7 @@ def test_only_demonstrations_with_the_score_are_kept(
     command = ("--env", ENV, "-n", 4, "--perturb", 0.5, "--min-score", 1.0, "--workers", 1)
     status, result = run("generate", *command, "--out", tmp_path / "d")
     (report,) = result["environments"]
-    assert (status, report["kept"]) == (0, 4)
-    assert report["scores"] == [1.0] * 4
+    assert (status, report["scores"]) == (0, [1.0] * 4)
     assert [t.score for t in Dataset.open(tmp_path / "d")] == report["scores"]
     assert {t.metadata["perturb"] for t in Dataset.open(tmp_path / "d")} == {0.5}
     monkeypatch.setattr("magical.demos.generate.MAX_DROPPED", 1)
@@ -94,8 +94,8 @@ def test_a_share_outside_0_to_1_is_refused(
 
 
 def test_no_demonstrations_and_negative_workers_are_refused(tmp_path: Path) -> None:
-    for number, workers, message in ((0, 1, "number: expected"), (1, -1, "workers: expected")):
-        with pytest.raises(ValueError, match=message):
+    for number, workers in ((0, 1), (1, 0)):
+        with pytest.raises(ValueError, match="number, workers: expected at least 1"):
             generate("magical/MoveToCorner-Demo-v0", number, tmp_path / "d", workers=workers)
 
 
@@ -123,19 +123,39 @@ def test_scene_without_solution_is_an_error(
     assert len(Dataset.open(tmp_path / "d")) == 0
 
 
-def test_repeated_demonstrations_are_reported_and_a_series_can_go_on(
-    tmp_path: Path, run: Run, capsys: pytest.CaptureFixture[str]
+def test_an_interrupted_series_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    generate(ENV, 4, whole, perturb=0.3)
+    generate(ENV, 2, parts, perturb=0.3)
+    generate(ENV, 1, parts)  # of another series
+    made: list[int] = []
+
+    def counted(env_id: str, seed: int, **more: Any) -> Any:
+        made.append(seed)
+        return demonstrate(env_id, seed, **more)
+
+    monkeypatch.setattr("magical.demos.generate.demonstrate", counted)
+    report = generate(ENV, 4, parts, perturb=0.3)
+    assert (report.already, made) == (2, [episode_seed(0, 2), episode_seed(0, 3)])
+    found = [t for t in Dataset.open(parts) if t.metadata["perturb"] == 0.3]
+    expected = Dataset.open(whole)
+    assert report.scores == tuple(t.score for t in expected)
+    for ours, theirs in zip(found, expected, strict=True):
+        np.testing.assert_array_equal(ours.bodies, theirs.bodies)
+
+
+def test_a_series_can_go_on_from_any_attempt(tmp_path: Path) -> None:
+    generate(ENV, 2, tmp_path, first=3)
+    seeds = [entry.seed for entry in Dataset.open(tmp_path).entries]
+    assert seeds == [episode_seed(0, 3), episode_seed(0, 4)]
+
+
+def test_demonstrations_that_repeat_each_other_are_counted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    arguments = ("generate", "--env", ENV, "-n", 2, "--workers", 1, "--out")
-    run(*arguments, tmp_path / "d")
-    capsys.readouterr()
-    argv = ["demos", *map(str, arguments), str(tmp_path / "d")]
-    assert main([*argv, "--first", "2"]) == 0
-    assert "that duplicate earlier ones" not in capsys.readouterr().err
-    assert [e.seed for e in Dataset.open(tmp_path / "d").entries] == [
-        episode_seed(0, k) for k in range(4)
-    ]
-    assert main(argv) == 0
-    assert "demonstrations that duplicate earlier ones: 2" in capsys.readouterr().err
-    assert main([*argv, "--first", "8"]) == 0
-    assert "that duplicate earlier ones" not in capsys.readouterr().err
+    for seed in (1, 2):  # the same two strategies in the same scene
+        writer = DatasetWriter(tmp_path)
+        writer.append(replace(demonstrate("MoveToRegion-Demo-v0", 5), seed=seed))
+    command = ["generate", "--env", ENV, "-n", "1", "--workers", "1", "--out", str(tmp_path)]
+    assert main(["demos", *command]) == 0
+    assert "that duplicate earlier ones: 1" in capsys.readouterr().err

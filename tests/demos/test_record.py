@@ -10,7 +10,7 @@ import pytest
 from gymnasium.wrappers import Autoreset, RecordEpisodeStatistics, TimeLimit, TransformAction
 
 from magical.demos import Dataset, RecordTrajectories
-from magical.demos.replay import replay
+from magical.demos.summary import replay
 from magical.errors import DatasetError, TrajectoryError
 
 ENV = "magical/MoveToRegion-TestDynamics-v0"
@@ -108,7 +108,7 @@ def test_other_environments_and_folders_are_refused(tmp_path: Path, small_datase
     with pytest.raises(TrajectoryError, match="magical's environments"):
         RecordTrajectories(gymnasium.make("CartPole-v1"), tmp_path / "d", demonstrator="x")
     with pytest.raises(DatasetError, match="cannot be written"):
-        RecordTrajectories(make(), small_dataset / "manifest.jsonl", demonstrator="x")
+        RecordTrajectories(make(), small_dataset / "000000.npz", demonstrator="x")
 
 
 def test_play_is_recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

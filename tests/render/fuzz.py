@@ -13,9 +13,9 @@ from collections import Counter
 from dataclasses import replace
 
 import numpy as np
+from magical.demos.human.recovery.edges import EdgeFinder
 from numpy.typing import NDArray
 
-from magical.demos.human.recovery.edges import EdgeFinder
 from magical.errors import MagicalError
 from magical.render import Renderer
 from magical.scene import Pose, Scene, View

@@ -2,7 +2,12 @@
 
 from importlib.util import find_spec
 
-from baselines.baselines.baselines.tests.experiments.conftest import finished, inline, planned, tiny
+from baselines.baselines.baselines.baselines.tests.experiments.conftest import (
+    finished,
+    inline,
+    planned,
+    tiny,
+)
 
 from tests.report.conftest import write_entry
 

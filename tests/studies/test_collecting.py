@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from baselines.baselines.baselines.tests.experiments.conftest import Planned
+from baselines.baselines.baselines.baselines.tests.experiments.conftest import Planned
 
 from magical.evaluation import Entry, Evaluation, environments, read_entry
 from magical.evaluation.collection import write_collection

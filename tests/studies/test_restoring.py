@@ -4,7 +4,7 @@ import shutil
 from pathlib import Path
 
 import pytest
-from baselines.baselines.baselines.tests.experiments.conftest import Planned, Started
+from baselines.baselines.baselines.baselines.tests.experiments.conftest import Planned, Started
 
 from magical_baselines.experiments.execution import execute
 from magical_baselines.experiments.results import planned_states

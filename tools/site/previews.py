@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from functools import partial
 
 from magical.demos.generate import demonstrate
-from magical.demos.store.reader import Frames
+from magical.demos.reader import Frames
 from magical.envs import EnvId
 from magical.processes import checked_workers, map_in_processes
 from magical.report.figures.clips import Clip, encoded

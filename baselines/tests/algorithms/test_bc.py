@@ -271,7 +271,7 @@ def test_state_vectors_are_learned_from(tmp_path: Path) -> None:
     for action in actions.tolist():
         simulation.step(POINTS[action])
         poses.append(simulation.poses().bodies)
-    demo = Trajectory.from_poses("MoveToRegion-Demo-v0", task.demo, actions, np.stack(poses))
+    demo = Trajectory.from_bodies("MoveToRegion-Demo-v0", task.demo, actions, np.stack(poses))
     demos = write_demos(tmp_path / "demos", [demo])
     fields = {"tasks": ("MoveToRegion",), "observation": "state", "num_demos": 1}
     config = tiny(demos, **fields, augment="none", batches=300, batch_size=16)

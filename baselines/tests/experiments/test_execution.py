@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 import torch
-from baselines.baselines.baselines.tests.experiments.conftest import Planned, Started
-from baselines.baselines.baselines.tests.experiments.processes import scores_of
+from baselines.baselines.baselines.baselines.tests.experiments.conftest import Planned, Started
+from baselines.baselines.baselines.baselines.tests.experiments.processes import scores_of
 from torch import nn
 
 import magical

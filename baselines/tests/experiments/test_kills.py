@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from baselines.baselines.baselines.tests.experiments import processes
-from baselines.baselines.baselines.tests.experiments.processes import (
+from baselines.baselines.baselines.baselines.tests.experiments import processes
+from baselines.baselines.baselines.baselines.tests.experiments.processes import (
     TIMEOUT,
     lines,
     reached,

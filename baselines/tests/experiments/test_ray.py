@@ -9,8 +9,8 @@ import pytest
 
 pytest.importorskip("ray", reason="the extra ray is not installed")
 
-from baselines.baselines.baselines.tests.experiments.conftest import Planned
-from baselines.baselines.baselines.tests.experiments.processes import (
+from baselines.baselines.baselines.baselines.tests.experiments.conftest import Planned
+from baselines.baselines.baselines.baselines.tests.experiments.processes import (
     TIMEOUT,
     reached,
     running,

@@ -7,18 +7,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
+
+pytest.importorskip("lerobot", reason="LeRobot is not installed")
+
 from lerobot.configs.types import FeatureType
 from lerobot.envs.factory import make_env
 from lerobot.envs.utils import add_envs_task, env_to_policy_features, preprocess_observation
 from lerobot_env_magical import LeRobotMagicalEnv, MagicalEnvConfig
+from lerobot_env_magical.export import export_lerobot
 
 from magical.demos import Dataset, DatasetWriter
-from magical.demos.export.lerobot import export_lerobot
 from magical.demos.generate import demonstrate
 from magical.envs.seeds import evaluation_seed
-from magical.errors import PolicyError
+from magical.errors import DatasetError, PolicyError
 from magical.evaluation import evaluate, load_policy
 
 HUB = Path(__file__).resolve().parents[1] / "hub" / "env.py"
@@ -47,15 +49,30 @@ def test_observations_become_the_features_of_the_policy(envs: Any) -> None:
     assert all("corner" in task for task in tasks)
 
 
-def test_states_are_those_of_exported_datasets(tmp_path: Path) -> None:
-    trajectory = demonstrate("magical/MoveToRegion-TestJitter-v0", seed=0)
-    DatasetWriter(tmp_path / "demos").append(trajectory)
-    export_lerobot(Dataset.open(tmp_path / "demos"), tmp_path / "exported")
-    (table,) = (tmp_path / "exported" / "data").rglob("*.parquet")
-    states = pq.read_table(table)["observation.state"].to_pylist()
+@pytest.mark.parametrize("space", ["discrete", "continuous"])
+def test_an_export_is_read_by_lerobot(tmp_path: Path, space: Any) -> None:
+    from lerobot.datasets.lerobot_dataset import LeRobotDataset
+
+    writer = DatasetWriter(tmp_path / "demos")
+    for seed in range(2):
+        writer.append(demonstrate("magical/MoveToRegion-TestJitter-v0", seed=seed, perturb=0.3))
+    dataset = Dataset.open(tmp_path / "demos")
+    total = export_lerobot(dataset, tmp_path / "exported", space)
+    found = LeRobotDataset("local/magical", root=tmp_path / "exported")
+    assert (len(found), found.num_episodes) == (total, 2) == (sum(map(len, dataset)), 2)
+    first = dataset[0].with_action_space(space)
     env = LeRobotMagicalEnv("MoveToRegion-TestJitter-v0")
-    observation, _ = env.reset(seed=0)
-    np.testing.assert_allclose(observation["agent_pos"], states[0], atol=1e-6)
+    observation, info = env.reset(seed=0)
+    start, last = found[0], found[len(first) - 1]
+    np.testing.assert_allclose(observation["agent_pos"], start["observation.state"], atol=1e-6)
+    frame = (255 * start["observation.images.ego"].numpy()).transpose(1, 2, 0)
+    assert np.abs(frame - observation["pixels"]["ego"]).mean() < 6
+    assert start["task"] == info["instruction"]
+    np.testing.assert_allclose(start["action"].numpy(), first.labels[0], atol=1e-6)
+    np.testing.assert_allclose(start["executed_action"].numpy(), first.actions[0], atol=1e-6)
+    assert (bool(last["next.done"]), float(last["next.reward"])) == (True, first.score)
+    with pytest.raises(DatasetError, match="which exists"):
+        export_lerobot(dataset, tmp_path / "exported")
 
 
 def test_the_last_step_tells_success_and_score(envs: Any) -> None:

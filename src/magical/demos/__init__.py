@@ -6,21 +6,18 @@ dataset = Dataset.open("demos").filter(task="MoveToCorner", min_score=0.9)
 arrays = dataset.arrays(observation="LoRes4E")
 """
 
+from magical.demos.dataset import Dataset, DatasetWriter, Entry
+from magical.demos.reader import Frames, ObservationReader, observations
 from magical.demos.record import RecordTrajectories
-from magical.demos.store.dataset import Dataset, Problem
-from magical.demos.store.manifest import ManifestEntry
-from magical.demos.store.reader import Frames, ObservationReader, observations
-from magical.demos.store.trajectory import Actor, Trajectory
-from magical.demos.store.writer import DatasetWriter
+from magical.demos.trajectory import Actor, Trajectory
 
 __all__ = [
     "Actor",
     "Dataset",
     "DatasetWriter",
+    "Entry",
     "Frames",
-    "ManifestEntry",
     "ObservationReader",
-    "Problem",
     "RecordTrajectories",
     "Trajectory",
     "observations",

@@ -1,23 +1,21 @@
 """Generating demonstrations with the scripted experts."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
 from itertools import count
 from pathlib import Path
 
+from magical.demos.dataset import Dataset, DatasetWriter
+from magical.demos.parallel import map_in_order
 from magical.demos.record import provenance
-from magical.demos.store.manifest import ManifestEntry, encoded
-from magical.demos.store.trajectory import Trajectory
-from magical.demos.store.writer import DatasetWriter
-from magical.envs.action_spec import ActionSpaceName, action_spec
-from magical.envs.ids import EnvId, parse_env_id
+from magical.demos.trajectory import Trajectory
+from magical.envs.ids import parse_env_id
 from magical.envs.seeds import episode_seed
 from magical.errors import DatasetError
 from magical.experts import modules_of, rollout
 from magical.experts.noise import check_share
-from magical.processes import checked_workers, map_in_processes
 from magical.tasks import with_tasks
 
 MAX_DROPPED = 20  # attempts below the score, per requested demonstration, before giving up
@@ -25,12 +23,12 @@ MAX_DROPPED = 20  # attempts below the score, per requested demonstration, befor
 
 @dataclass(frozen=True, slots=True)
 class GenerateReport:
-    """The outcome of the attempts in one environment."""
+    """The demonstrations of one environment."""
 
     env_id: str
-    kept: int
-    dropped: int  # below `min_score`
-    scores: tuple[float, ...]  # of the demonstrations kept
+    scores: tuple[float, ...]
+    already: int  # of these, the number that the dataset held before
+    dropped: int  # attempts below `min_score`
 
 
 def generate(
@@ -42,71 +40,65 @@ def generate(
     first: int = 0,
     perturb: float = 0.0,
     min_score: float = 0.0,
-    workers: int | None = None,
-    action_space: ActionSpaceName = "discrete",
-    progress: Callable[[int], None] | None = None,
+    workers: int = 1,
+    progress: Callable[[int], None] = lambda _: None,
 ) -> GenerateReport:
-    """Append `number` demonstrations by the task's scripted expert to a dataset.
+    """Write `number` demonstrations by the task's scripted expert to a dataset.
 
     Attempt i starts in the scene of `reset(seed=episode_seed(seed, i))`, with its own strategy.
+    Demonstrations that the dataset holds are not made again, so an interrupted call can be
+    repeated.
 
     Args:
         env_id: the environment's id; a preset in it is ignored.
-        number: how many demonstrations to append.
+        number: how many demonstrations of this series the dataset is to hold.
         out: the dataset's folder, created if it does not exist.
         seed: seed of the series of attempts.
         first: index of the first attempt, to continue a series.
         perturb: share of steps with a random action; the `labels` to imitate stay the expert's.
         min_score: attempts with a lower score (by the appendix's rule) are dropped.
-        workers: number of processes (default: one per core). The result does not depend on it.
-        action_space: kind of the stored actions, "discrete" or "continuous".
-        progress: called with 1 after each demonstration that is kept.
+        workers: number of processes, on which the result does not depend; with more than 1 the main
+            script needs `if __name__ == "__main__":`.
+        progress: called with 1 for each demonstration.
 
     Raises:
         DatasetError: too few attempts reach the score, or the dataset cannot be written.
-        InvalidConfigError: `perturb` is not between 0 and 1.
-        ValueError: `number` is less than 1, or `workers` is negative.
         InvalidTaskError, NoExpertError: the workers cannot import the task, or it has no expert.
-        UnknownNameError: there is no such environment or action space.
-        InvalidSceneError: a sampled scene does not fit its task.
-        WorkerDiedError: a worker process was killed; what was already appended stays.
+        WorkerDiedError: a worker was killed; what was already stored stays.
     """
-    parsed, name = parse_env_id(env_id), action_spec(action_space).name
+    parsed = parse_env_id(env_id).without_preset
     check_share("perturb", perturb)
-    if number < 1:
-        raise ValueError(f"number: expected at least 1, found {number}")
-    workers = checked_workers(workers)
+    if number < 1 or workers < 1:
+        raise ValueError(f"number, workers: expected at least 1, found {number}, {workers}")
+    writer = DatasetWriter(out)
+    known = {
+        entry.seed: entry.final_score
+        for entry in Dataset.open(out).entries
+        if (entry.env_id, entry.demonstrator) == (parsed, "expert")
+        and entry.metadata.get("perturb") == perturb
+    }
     modules = modules_of(parsed.task) if workers > 1 else []
-    attempt = with_tasks(partial(_attempt, parsed, seed, perturb, name), modules)
-    with closing(map_in_processes(attempt, count(first), workers)) as results:
-        return _keep(results, number, DatasetWriter(out), env_id, min_score, progress)
-
-
-def _keep(
-    attempts: Iterator[tuple[ManifestEntry, bytes]],
-    number: int,
-    writer: DatasetWriter,
-    env_id: str,
-    min_score: float,
-    progress: Callable[[int], None] | None,
-) -> GenerateReport:
-    """Append the first `number` attempts that reach `min_score`."""
-    scores, dropped = list[float](), 0
-    while len(scores) < number:
-        if dropped > MAX_DROPPED * number:
-            raise DatasetError(
-                f"{env_id}: {dropped} attempts scored less than {min_score} and {len(scores)} did "
-                "not; give a lower score or a lower share of perturbed steps"
-            )
-        entry, raw = next(attempts)
-        if entry.final_score < min_score:
-            dropped += 1
-            continue
-        writer.append_encoded(entry, raw)
-        scores.append(entry.final_score)
-        if progress:
+    make = with_tasks(partial(demonstrate, parsed, perturb=perturb), modules)
+    series = (episode_seed(seed, attempt) for attempt in count(first))
+    scores, dropped, already = list[float](), 0, 0
+    with closing(map_in_order(make, series, workers, skip=known)) as attempts:
+        while len(scores) < number:
+            scene_seed, trajectory = next(attempts)
+            score = known[scene_seed] if trajectory is None else trajectory.score or 0.0
+            if score < min_score:
+                dropped += 1
+                if dropped > MAX_DROPPED * number:
+                    raise DatasetError(
+                        f"{env_id}: {dropped} attempts scored less than {min_score}; give a lower "
+                        "score or a lower share of perturbed steps"
+                    )
+                continue
+            if trajectory is not None:
+                writer.append(trajectory)
+            already += trajectory is None
+            scores.append(score)
             progress(1)
-    return GenerateReport(env_id, len(scores), dropped, tuple(scores))
+    return GenerateReport(parsed, tuple(scores), already, dropped)
 
 
 def demonstrate(env_id: str, seed: int, *, perturb: float = 0.0) -> Trajectory:
@@ -115,13 +107,12 @@ def demonstrate(env_id: str, seed: int, *, perturb: float = 0.0) -> Trajectory:
     `perturb` is as in `generate`.
 
     Raises:
-        InvalidConfigError: `perturb` is not between 0 and 1.
         NoExpertError: the task has no expert.
         InvalidSceneError: the sampled scene does not fit the task.
     """
     parsed = parse_env_id(env_id)
     episode = rollout(parsed.task, parsed.variant, seed, perturb=perturb)
-    return Trajectory.from_poses(
+    return Trajectory.from_bodies(
         parsed,
         episode.scene,
         episode.actions,
@@ -132,14 +123,3 @@ def demonstrate(env_id: str, seed: int, *, perturb: float = 0.0) -> Trajectory:
         expert_actions=episode.expert_actions if perturb else None,
         metadata={"perturb": perturb, **provenance()},
     )
-
-
-def _attempt(
-    env_id: EnvId,
-    seed: int,
-    perturb: float,
-    action_space: ActionSpaceName,
-    attempt: int,
-) -> tuple[ManifestEntry, bytes]:
-    trajectory = demonstrate(env_id, episode_seed(seed, attempt), perturb=perturb)
-    return encoded(trajectory.with_action_space(action_space))

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical import __version__
-from magical.demos.store.trajectory import Trajectory
-from magical.demos.store.writer import DatasetWriter
+from magical.demos.dataset import DatasetWriter
+from magical.demos.trajectory import Trajectory
 from magical.envs.env import MagicalEnv
 from magical.errors import TrajectoryError
 from magical.scene import Dynamics, Scene
@@ -45,7 +45,7 @@ class RecordTrajectories(gym.Wrapper[Any, Any, Any, Any]):
         dataset: Path | str,
         *,
         demonstrator: str,
-        min_score: float | None = None,
+        min_score: float = 0.0,
         metadata: Mapping[str, Any] | None = None,
     ) -> None:
         super().__init__(env)
@@ -54,9 +54,8 @@ class RecordTrajectories(gym.Wrapper[Any, Any, Any, Any]):
             raise TrajectoryError(f"expected one of magical's environments, found {inner}")
         self._inner = inner
         self._writer = DatasetWriter(dataset)
-        self._demonstrator = demonstrator
+        self._by: dict[str, Any] = {"demonstrator": demonstrator, "metadata": metadata or {}}
         self._min_score = min_score
-        self._episode_metadata = dict(metadata or {})
         self._bodies: list[NDArray[np.float64]] = []
         self._scene: Scene | None = None
         self._seed: int | None = None
@@ -81,26 +80,16 @@ class RecordTrajectories(gym.Wrapper[Any, Any, Any, Any]):
             raise TrajectoryError("the episode was not recorded from its start; reset() first")
         self._bodies.append(state.bodies)
         if result[2] or result[3]:
-            self._store()
+            trajectory = recorded_trajectory(self._inner, self._bodies, seed=self._seed, **self._by)
+            if (trajectory.score or 0.0) >= self._min_score:
+                self._writer.append(trajectory)
+                self.recorded += 1
             self._scene = None
         return result
 
     def _start(self, seed: int | None) -> None:
         state = self._inner.state()
         self._scene, self._bodies, self._seed = state.scene, [state.bodies], seed
-
-    def _store(self) -> None:
-        trajectory = recorded_trajectory(
-            self._inner,
-            self._bodies,
-            seed=self._seed,
-            demonstrator=self._demonstrator,
-            metadata=self._episode_metadata,
-        )
-        if self._min_score is not None and (trajectory.score or 0.0) < self._min_score:
-            return
-        self._writer.append(trajectory)
-        self.recorded += 1
 
 
 def recorded_trajectory(
@@ -113,19 +102,11 @@ def recorded_trajectory(
 ) -> Trajectory:
     """The trajectory of an environment's current episode, scored at its last poses.
 
-    Args:
-        env: the environment, in the state in which the episode ends.
-        bodies: poses and velocities of all bodies, (5 + blocks, 6), after `reset` and after every
-            step since.
-        seed: the seed passed to `reset`, if known.
-        demonstrator: name of the person or policy that chose the actions.
-        metadata: plain JSON data, stored together with the date and versions.
-
-    Raises:
-        TrajectoryError: the number of `bodies` is not one more than the number of steps.
+    `bodies` are (5 + blocks, 6) each, after `reset` and after every step since. `metadata` is
+    stored together with the date and versions.
     """
     saved = env.get_state()
-    return Trajectory.from_poses(
+    return Trajectory.from_bodies(
         env.env_id,
         env.state().scene,
         env.action_spec.convert(np.array(saved["actions"])),
@@ -139,12 +120,9 @@ def recorded_trajectory(
 
 def provenance() -> dict[str, Any]:
     """Date, versions and platform of a recording made now, as plain data."""
+    libraries = {library: version(library) for library in ("numpy", "pymunk", "gymnasium")}
     return {
         "recorded": datetime.now(UTC).isoformat(timespec="seconds"),
-        "versions": {
-            "magical": __version__,
-            "python": platform.python_version(),
-            **{library: version(library) for library in ("numpy", "pymunk", "gymnasium")},
-        },
+        "versions": {"magical": __version__, "python": platform.python_version(), **libraries},
         "platform": platform.platform(terse=True),
     }

@@ -30,7 +30,9 @@ class Solid:
         self.body = pymunk.Body(body_type=pymunk.Body.STATIC)
         self.body.position = AWAY[:2]
         if isinstance(kind, Region):
-            self.shapes = [pymunk.Poly(self.body, rectangle(kind.width, kind.height))]
+            self.shapes: list[pymunk.Shape] = [
+                pymunk.Poly(self.body, rectangle(kind.width, kind.height))
+            ]
         elif kind is None:
             fingers = [pymunk.Poly(self.body, polygon) for polygon in robot_polygons()]
             self.shapes = [pymunk.Circle(self.body, c.ROBOT_RADIUS), *fingers]

@@ -26,7 +26,6 @@ from numpy.typing import NDArray
 
 from magical.demos import Dataset, DatasetWriter, Trajectory
 from magical.demos.record import provenance
-from magical.demos.store.repair import open_repaired
 from magical.envs import EnvId
 from magical.envs.seeds import sample_training_seeds
 from magical.envs.vector import MagicalVectorEnv
@@ -174,7 +173,7 @@ def collect_labelled(
     metadata = {"expert_share": beta, **remarks, **provenance()}
     counts = envs.bodies[1].tolist()
     return [
-        Trajectory.from_poses(
+        Trajectory.from_bodies(
             envs.env_ids[row],
             state.scene,
             taken[: state.horizon, row],
@@ -239,7 +238,7 @@ def train_round(
     if number:
         metrics["score"] = fmean(e.final_score for e in entries[-len(config.env_ids) :])
     until = (number + 1) * config.cloning.batches
-    return trainer.fit(data, until, metrics, {"aggregate": [e.sha256 for e in entries]})
+    return trainer.fit(data, until, metrics, {"aggregate": [e.fingerprint for e in entries]})
 
 
 class AggregatedDataset:
@@ -253,15 +252,13 @@ class AggregatedDataset:
         """
         self._per_round = len(config.env_ids)
         self.folder = run.folder / AGGREGATE
-        if self.folder.exists():
-            open_repaired(self.folder)
         self._writer = DatasetWriter(self.folder)
         self._dataset = Dataset.open(self.folder)
         with restoring(run.folder):
             expected = list(run.saved["aggregate"]) if run.saved else []
         # There may be one more round, complete or partial, if the run ended while collecting it.
         at_most = self._per_round * min(run.step // config.cloning.batches + 1, config.rounds - 1)
-        found = [entry.sha256 for entry in self._dataset.entries]
+        found = [entry.fingerprint for entry in self._dataset.entries]
         if found[: len(expected)] != expected or len(found) > at_most:
             raise RunFolderError(
                 f"{self.folder}: expected the {len(expected)} episodes that the checkpoint was "

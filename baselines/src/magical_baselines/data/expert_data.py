@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from magical.demos import Dataset, Trajectory
-from magical.demos.store.reader import TrajectorySource
+from magical.demos.reader import TrajectorySource
 from magical.envs.action_spec import Actions, ActionSpaceName, spec_of
 from magical.errors import DemonstrationsError, TrajectoryError
 from magical.observe import ObservationSpec
@@ -89,7 +89,7 @@ def sample_demonstrations(
             )
         some = of_task.sample(count, stream(seed, Purpose.DEMONSTRATIONS))
         trajectories += [(task, _converted(trajectory, action_space)) for trajectory in some]
-        record += [{"task": task, "file": e.file, "sha256": e.sha256} for e in some.entries]
+        record += [{"task": task, "file": e.file, "sha256": some.sha256(e)} for e in some.entries]
     return Demonstrations(tuple(trajectories), tuple(record))
 
 

@@ -1,19 +1,16 @@
 """The demonstrations of an experiment: the user's dataset, the scripted experts', or both."""
 
 import hashlib
+import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
-from magical.demos.generate import MAX_DROPPED, generate
-from magical.demos.store.dataset import Dataset
-from magical.demos.store.manifest import ManifestEntry
-from magical.demos.store.repair import open_repaired
-from magical.demos.store.writer import DatasetWriter
-from magical.envs.seeds import episode_seed
-from magical.errors import DatasetError, DemonstrationsError, WorkerDiedError
+from magical.demos.dataset import Dataset, DatasetWriter, Entry
+from magical.demos.generate import generate
+from magical.errors import DemonstrationsError, WorkerDiedError
 from magical.evaluation import environments
 from magical_baselines.config import DemonstrationSettings
 from magical_baselines.experiments.plan import DemonstrationSource, PlannedRun
@@ -23,35 +20,14 @@ from magical_baselines.experiments.results import DEMOS, Results, read_experimen
 def generate_missing(folder: Path, tasks: Iterable[str], count: int, **settings: Any) -> None:
     """Generate expert demonstrations of each task's Demo variant until it has `count`.
 
-    They are the same whether or not an earlier call was interrupted. `settings` are those of
-    `magical.demos.generate.generate`.
+    `settings` are those of `magical.demos.generate.generate`.
 
     Raises:
         DatasetError, NoExpertError: see `magical.demos.generate.generate`.
     """
-    existing = _kept(folder)
     for task in tasks:
-        seeds = [entry.seed for entry in existing if entry.task == task]
-        first = _next_attempt(folder, seeds, count) if seeds else 0
-        if len(seeds) < count:
-            (demo,) = environments([task], ["Demo"])
-            generate(demo, count - len(seeds), folder, first=first, **settings)
-
-
-def _next_attempt(folder: Path, seeds: Sequence[int | None], count: int) -> int:
-    """The number of the attempt after the one that gave the last of `seeds`.
-
-    `count` is the number of demonstrations wanted in all. Raises `DatasetError` if the last seed is
-    not in the series.
-    """
-    # Every call may drop MAX_DROPPED for each demonstration that it has to generate.
-    for number in range((MAX_DROPPED + 1) * count * len(seeds) + 1):
-        if episode_seed(0, number) == seeds[-1]:
-            return number + 1
-    raise DatasetError(
-        f"{folder}: expected demonstrations generated with seed 0, found one of scene {seeds[-1]}; "
-        "remove the folder or choose another"
-    )
+        (demo,) = environments([task], ["Demo"])
+        generate(demo, count, folder, **settings)
 
 
 def require_same_demonstrations(runs: Sequence[PlannedRun], results: Results) -> None:
@@ -137,7 +113,8 @@ def _generated(
     assert source.expert_demos is not None
     parts = (f"{name.replace('_', '-')}-{value:g}" for name, value in source.generation.items())
     folder = results.path / DEMOS / "-".join([f"expert-{source.expert_demos}", *parts])
-    settings = {**source.generation, "workers": workers, "progress": progress}
+    number = workers or os.cpu_count() or 1
+    settings = {**source.generation, "workers": number, "progress": progress}
     try:
         generate_missing(folder, tasks, source.expert_demos, **settings)
     except WorkerDiedError:  # what it had made stays; one killed process does not end the plan
@@ -162,15 +139,12 @@ def _pool(datasets: Sequence[Dataset], tasks: Iterable[str], folder: Path) -> No
             writer.append(trajectory)
 
 
-def _kept(folder: Path) -> list[ManifestEntry]:
-    """The Demo demonstrations of a dataset, which need not exist.
-
-    If a process was killed between writing a file and listing it, the dataset is repaired.
-    """
-    return _demos(open_repaired(folder)) if folder.exists() else []
+def _kept(folder: Path) -> list[Entry]:
+    """The Demo demonstrations of a dataset, which need not exist."""
+    return _demos(Dataset.open(folder)) if folder.exists() else []
 
 
-def _demos(dataset: Dataset) -> list[ManifestEntry]:
+def _demos(dataset: Dataset) -> list[Entry]:
     return [entry for entry in dataset.entries if entry.variant == "Demo"]
 
 
@@ -205,7 +179,7 @@ def _require_known(
 
 
 def _digest(dataset: Dataset, task: str) -> str:
-    sums = [entry.sha256 for entry in _demos(dataset) if entry.task == task]
+    sums = [entry.fingerprint for entry in _demos(dataset) if entry.task == task]
     return hashlib.sha256("\n".join(sums).encode()).hexdigest()
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from magical.demos import Trajectory
-from magical.demos.store.reader import TrajectorySource
+from magical.demos.reader import TrajectorySource
 from magical.errors import DemonstrationsError
 from magical.observe import ObservationSpec
 from magical.observe.arrays import stack_indices

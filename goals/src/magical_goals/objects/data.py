@@ -8,8 +8,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from magical.demos.store.reader import TrajectorySource
-from magical.demos.store.trajectory import Trajectory
+from magical.demos.reader import TrajectorySource
+from magical.demos.trajectory import Trajectory
 from magical.errors import DemonstrationsError
 from magical.observe import PRESETS
 from magical_baselines.data.expert_data import Rows, TaskTrajectories

@@ -17,7 +17,7 @@ class LeRobotMagicalEnv(gymnasium.Env[dict[str, Any], Any]):
     """A task in a variant, with the keys of LeRobot's environments.
 
     Observations are `pixels` (`allo` and `ego`, uint8) and `agent_pos` (the robot's x, y and angle
-    and the angles of its fingers, float32), as in a dataset of `magical demos export --to lerobot`.
+    and the angles of its fingers, float32), as in a dataset of `lerobot_env_magical.export`.
     Actions are drive, turn and grip, each from -1 to 1 and clipped to that. The reward of an
     episode is its score, from 0 to 1, at the last step; `info["is_success"]` says whether that is
     above 0.5.

@@ -26,7 +26,7 @@ class ViewsAndRobot:
     """The newest frame of both views, (size, size, 3) uint8, and `agent_pos`, (5,) float32.
 
     `agent_pos` is the robot's x, y and angle, and the angles of its fingers relative to it, as
-    `observation.state` of a dataset that `magical demos export --to lerobot` writes.
+    `observation.state` of a dataset that `lerobot_env_magical.export` writes.
     """
 
     size: int = 96
@@ -85,7 +85,7 @@ class ViewsAndRobot:
         out = empty(self.fields, steps.shape) if out is None else out
         self.pixels.read(source, steps, {view: out[view] for view in VIEWS})
         bodies = source.body_states()[steps]
-        out[ROBOT_STATE][...] = _robot_states(bodies)
+        out[ROBOT_STATE][...] = robot_states(bodies)
         return out
 
     def to_dict(self) -> str:
@@ -106,15 +106,15 @@ class _Observer:
     def start(self, scene: Scene, bodies: NDArray[np.float64]) -> None:
         """Start an episode."""
         self._pixels.start(scene, bodies[:, :3])
-        self.out[ROBOT_STATE][:] = _robot_states(bodies)
+        self.out[ROBOT_STATE][:] = robot_states(bodies)
 
     def update(self, bodies: NDArray[np.float64]) -> None:
         """Observe the next step."""
         self._pixels.update(bodies[:, :3])
-        self.out[ROBOT_STATE][:] = _robot_states(bodies)
+        self.out[ROBOT_STATE][:] = robot_states(bodies)
 
 
-def _robot_states(bodies: NDArray[np.float64]) -> NDArray[np.float64]:
+def robot_states(bodies: NDArray[np.float64]) -> NDArray[np.float64]:
     """The robot's pose, and its fingers' angles relative to it (..., 5), of bodies (..., N, 6)."""
     robot = bodies[..., ROBOT, :3]
     return np.concatenate([robot, bodies[..., FINGERS, 2] - robot[..., 2:]], axis=-1)

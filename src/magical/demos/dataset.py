@@ -1,0 +1,422 @@
+"""A dataset: a folder with one `.npz` file for each trajectory.
+
+A file holds `header` (JSON as uint8), `actions` (T,) uint8, or (T, 3) float64 if continuous, and
+`bodies` (T + 1, 5 + blocks, 6) float64 or `frames_allo` and `frames_ego` (T + 1, 96, 96, 3) uint8,
+or all of them; and `expert_actions`, `policy_actions` and `actors` if the trajectory has them. In
+version 1 `poses` and `velocities`, both (T + 1, 5 + blocks, 3), were apart.
+
+Files may come from anybody: what they declare is compared with limits before memory is taken, and
+no pickle is loaded.
+"""
+
+import hashlib
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, Literal, overload
+from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipFile
+
+import numpy as np
+from msgspec import Meta
+from numpy.lib import format as npy
+from numpy.typing import NDArray
+
+from magical.demos.reader import ObservationReader
+from magical.demos.trajectory import (
+    ACTION_COLUMNS,
+    VIEWS,
+    Trajectory,
+    without_velocities,
+)
+from magical.envs.action_spec import ActionSpaceName
+from magical.envs.ids import EnvId, parse_env_id, split_env_id
+from magical.errors import DatasetError, MagicalError, ObservationError, TrajectoryError
+from magical.files import write_atomically
+from magical.messages import printable, quoted
+from magical.observe import Observation
+from magical.observe.arrays import empty, select
+from magical.scene import Dynamics, Scene
+from magical.tasks import get_task
+from magical.tasks.axes import full_variant
+from magical.untrusted import MAX_BYTES, parse_json
+
+SUFFIX = ".npz"
+MAX_FILE = 64 << 20  # bytes on disk; the largest human recording has 0.6 MB
+MAX_UNPACKED = 512 << 20  # bytes of all arrays together
+MAX_MEMBERS = 16
+MAX_ACTIONS = 1 << 21  # numbers; a discrete one takes a step of 1/8 s
+MAX_MESSAGE = 1000  # characters of an error
+_FIELDS = ("seed", "score", "published_code_score", "demonstrator", "metadata")
+_COLUMNS = "actions", "labels", "is_demonstrated"
+
+Score = Annotated[float, Meta(ge=0.0, le=1.0)]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Header:
+    """The header of a file; `env_id` is split, but its task may not be installed here."""
+
+    format: Literal["magical-trajectory"]
+    version: Literal[1, 2]
+    env_id: Annotated[str, Meta(pattern=r"\A[\w/-]{1,200}\Z")]
+    seed: Annotated[int, Meta(ge=0)] | None
+    score: Score | None
+    published_code_score: Score
+    demonstrator: str
+    metadata: dict[str, Any]
+    scene: dict[str, Any]
+    dynamics: dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Entry:
+    """What a dataset knows of a trajectory without reading its arrays."""
+
+    file: str  # relative to the dataset's folder
+    env_id: EnvId
+    length: int  # control steps
+    action_space: ActionSpaceName
+    seed: int | None
+    score: float | None
+    published_code_score: float
+    demonstrator: str
+    metadata: Mapping[str, Any] = field(hash=False)
+    has_poses: bool
+    has_labels: bool  # actions to imitate in addition to the executed ones
+    size: int  # bytes on disk
+    fingerprint: str  # equal for equal actions and bodies or frames; no defence against forgery
+
+    @property
+    def name(self) -> str:
+        """The name of the published file that it was imported from, if any, or the file's."""
+        source = self.metadata.get("source")
+        return source if isinstance(source, str) else self.file
+
+    @property
+    def final_score(self) -> float:
+        """The appendix's score, or the published code's if poses are unknown."""
+        return self.published_code_score if self.score is None else self.score
+
+    @property
+    def task(self) -> str:
+        """The task's name."""
+        return self.env_id.task
+
+    @property
+    def variant(self) -> str:
+        """The variant's name."""
+        return self.env_id.variant
+
+
+class Dataset(Sequence[Trajectory]):
+    """Trajectories of any mix of tasks and variants, read from disk one at a time.
+
+    `dataset[i]`, iteration and `filter` never hold more than one trajectory in memory. They are in
+    the order of the files' names.
+
+    Attributes:
+        path: the dataset's folder.
+        entries: one `Entry` for each trajectory.
+    """
+
+    def __init__(self, path: Path, entries: Sequence[Entry]) -> None:
+        self.path = path
+        self.entries = tuple(entries)
+
+    @classmethod
+    def open(cls, path: Path | str) -> "Dataset":
+        """Read the headers of all `.npz` files in a folder and its subfolders.
+
+        Raises `DatasetError` if there is no such folder, or a file is not a trajectory's.
+        """
+        folder = Path(path)
+        if not folder.is_dir():
+            raise DatasetError(f"{folder}: expected a dataset, a folder with {SUFFIX} files")
+        # An empty file is one that is being written, or whose writer was killed.
+        files = (file for file in sorted(folder.rglob(f"*{SUFFIX}")) if file.stat().st_size)
+        return cls(folder, [_read_entry(file, folder) for file in files])
+
+    def __len__(self) -> int:
+        """The number of trajectories."""
+        return len(self.entries)
+
+    @overload
+    def __getitem__(self, index: int) -> Trajectory: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> "Dataset": ...
+
+    def __getitem__(self, index: int | slice) -> "Trajectory | Dataset":
+        """One trajectory, read and checked now; for a slice, part of the dataset."""
+        if isinstance(index, slice):
+            return Dataset(self.path, self.entries[index])
+        return self.read(self.entries[index])
+
+    def __iter__(self) -> Iterator[Trajectory]:
+        """Read the trajectories one after another."""
+        return map(self.read, self.entries)
+
+    def __repr__(self) -> str:
+        return f"Dataset({str(self.path)!r}, {len(self)} trajectories)"
+
+    def read(self, entry: Entry) -> Trajectory:
+        """Read and check the trajectory of an entry, as `read_trajectory`."""
+        return read_trajectory(self.path / entry.file)
+
+    def sha256(self, entry: Entry) -> str:
+        """The SHA-256 sum of an entry's file."""
+        return hashlib.sha256((self.path / entry.file).read_bytes()).hexdigest()
+
+    def filter(
+        self,
+        *,
+        task: str | None = None,
+        variant: str | None = None,
+        env_id: str | None = None,
+        demonstrator: str | None = None,
+        min_score: float | None = None,
+    ) -> "Dataset":
+        """The part of the dataset that meets all given conditions; reads no trajectories.
+
+        `variant` is a name such as `TestJitter` or `Jitter`; a preset in `env_id` is ignored;
+        `min_score` bounds the appendix's score, or the published code's where poses are unknown.
+
+        Raises:
+            UnknownNameError: there is no such task, variant or environment.
+        """
+        # A name that is not in the dataset is not an error; a misspelt one is.
+        if task and all(task != entry.task for entry in self.entries):
+            get_task(task)
+        if variant and all(variant != entry.variant for entry in self.entries):
+            variant = full_variant(variant)
+        wanted = env_id and split_env_id(env_id).without_preset
+        if wanted and all(wanted != entry.env_id for entry in self.entries):
+            parse_env_id(str(wanted))
+        kept = [
+            entry
+            for entry in self.entries
+            if task in (None, entry.task)
+            and variant in (None, entry.variant)
+            and wanted in (None, entry.env_id)
+            and demonstrator in (None, entry.demonstrator)
+            and (min_score is None or entry.final_score >= min_score)
+        ]
+        return Dataset(self.path, kept)
+
+    def sample(self, count: int, rng: np.random.Generator) -> "Dataset":
+        """`count` trajectories sampled without replacement, in the dataset's order."""
+        if count > len(self):
+            raise DatasetError(f"{self.path}: expected {count} trajectories, found {len(self)}")
+        chosen = sorted(rng.choice(len(self), count, replace=False).tolist())
+        return Dataset(self.path, [self.entries[i] for i in chosen])
+
+    def action_space(self) -> ActionSpaceName:
+        """The kind of actions that all trajectories can have: continuous if any have those."""
+        spaces = {entry.action_space for entry in self.entries}
+        return "continuous" if "continuous" in spaces else "discrete"
+
+    def arrays(self, observation: Observation = "LoRes4E") -> dict[str, Any]:
+        """All N steps of all trajectories as plain arrays; `observation` as in `make_spec`.
+
+        Returns:
+            `observations` (N, *shape), or a dict of such arrays: the observation before each
+            action; `None` if there are no trajectories.
+            `actions` (N,) int64, or (N, 3) float64 if any are continuous: the executed actions.
+            `labels`, of the same form: the actions to imitate; they may differ from those executed.
+            `is_demonstrated` (N,) bool: false if a policy acted and no expert labelled the state.
+            `episodes`, `steps` (N,) int64: index of the trajectory, and of the step in it.
+            `env_ids`, `scores`, `published_code_scores`, `demonstrators`: one for each trajectory.
+
+        Raises:
+            ObservationError: the tasks' state vectors have different lengths.
+            TrajectoryError: a recording lacks what the observation needs.
+        """
+        entries, space = self.entries, self.action_space()
+        lengths = np.array([entry.length for entry in entries], np.int64)
+        total, starts = int(lengths.sum()), np.cumsum(lengths) - lengths
+        fields: Any = None
+        batch: Any = None
+        columns: dict[str, list[NDArray[Any]]] = {name: [] for name in _COLUMNS}
+        for start, stored in zip(starts, self, strict=True):
+            trajectory, reader = (
+                stored.with_action_space(space),
+                ObservationReader(stored, observation),
+            )
+            if batch is None:
+                fields, batch = reader.spec.fields, empty(reader.spec.fields, (total,))
+            if reader.spec.fields != fields:
+                raise ObservationError(
+                    f"expected {fields}, found {reader.spec.fields}; filter by task"
+                )
+            reader.read(np.arange(len(stored)), select(batch, slice(start, start + len(stored))))
+            for name, parts in columns.items():
+                parts.append(getattr(trajectory, name))
+        return {
+            "observations": batch,
+            **{name: np.concatenate(parts or [np.empty(0)]) for name, parts in columns.items()},
+            "episodes": np.repeat(np.arange(len(lengths)), lengths),
+            "steps": np.arange(total) - np.repeat(starts, lengths),
+            "env_ids": np.array([str(entry.env_id) for entry in entries]),
+            "scores": np.array([np.nan if e.score is None else e.score for e in entries]),
+            "published_code_scores": np.array([e.published_code_score for e in entries]),
+            "demonstrators": np.array([entry.demonstrator for entry in entries]),
+        }
+
+
+class DatasetWriter:
+    """Appends to a dataset, created if it does not exist; several processes may append at once.
+
+    Files are numbered. They get their names only when they are complete.
+
+    Raises:
+        DatasetError: the folder contains other files, or cannot be written.
+    """
+
+    def __init__(self, path: Path | str) -> None:
+        self.path = Path(path)
+        with self._writing():
+            self.path.mkdir(parents=True, exist_ok=True)
+            names = [file.name for file in self.path.iterdir() if file.is_file()]
+        self._next = sum(name.endswith(SUFFIX) for name in names)
+        others = [n for n in names if not n.startswith(".") and not n.endswith(SUFFIX)]
+        if others and not self._next:
+            raise DatasetError(
+                f"{self.path}: expected a dataset, or an empty or a new folder, found one with "
+                f"{quoted(sorted(others))}"
+            )
+
+    def append(self, trajectory: Trajectory) -> Entry:
+        """Store a trajectory; on failure, as on a full disk, the dataset stays as it was."""
+        arrays = _to_arrays(trajectory)
+        with self._writing():
+            while (path := self.path / f"{self._next:06d}{SUFFIX}").exists():
+                self._next += 1
+            try:
+                path.touch(exist_ok=False)  # reserves the number
+            except FileExistsError:  # another process has taken it just now
+                return self.append(trajectory)
+            try:
+                with write_atomically(path) as file:
+                    np.savez_compressed(file, allow_pickle=False, **arrays)
+            except BaseException:
+                path.unlink()
+                raise
+        return _read_entry(path, self.path)
+
+    @contextmanager
+    def _writing(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            where = error.filename or self.path
+            raise DatasetError(f"{where}: cannot be written: {error.strerror or error}") from error
+
+
+def read_trajectory(path: Path) -> Trajectory:
+    """Read a trajectory's file; raises `DatasetError` if it is damaged, too large, or another."""
+    with _opened(path) as (archive, header, names):
+        _shape(archive, "actions", MAX_ACTIONS)
+        arrays = {name: _load(archive, name) for name in names - {"header"}}
+        frames = {view: arrays[f"frames_{view}"] for view in VIEWS if f"frames_{view}" in arrays}
+        bodies = arrays.get("bodies")
+        if header.version == 1 and (poses := arrays.get("poses")) is not None:
+            speeds = arrays.get("velocities")
+            bodies = without_velocities(poses) if speeds is None else np.dstack([poses, speeds])
+        return Trajectory(
+            env_id=parse_env_id(header.env_id),
+            **{name: getattr(header, name) for name in _FIELDS},
+            scene=Scene.from_dict(header.scene),
+            dynamics=Dynamics.from_dict(header.dynamics),
+            **{name: arrays.get(name) for name in (*ACTION_COLUMNS, "actors")},  # type: ignore[arg-type]
+            bodies=bodies,
+            frames=frames or None,
+        )
+
+
+def _read_entry(path: Path, folder: Path) -> Entry:
+    with _opened(path) as (archive, header, names):
+        shape = _shape(archive, "actions", MAX_ACTIONS)
+        parts = {info.filename: info.CRC for info in archive.infolist()}
+        parts.pop("header.npy")
+        return Entry(
+            file=path.relative_to(folder).as_posix(),
+            env_id=split_env_id(header.env_id),  # its task may be of a package not installed here
+            **{name: getattr(header, name) for name in _FIELDS},
+            length=shape[0],
+            action_space="discrete" if len(shape) == 1 else "continuous",
+            has_poses=bool({"bodies", "poses"} & names),
+            has_labels="expert_actions" in names,
+            size=path.stat().st_size,
+            fingerprint=hashlib.sha256(repr(sorted(parts.items())).encode()).hexdigest()[:16],
+        )
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[tuple[ZipFile, _Header, set[str]]]:
+    """Open a file; gives the archive, the header and the names of the arrays.
+
+    Any error in the block becomes a `DatasetError` that names the file.
+    """
+    try:
+        if path.stat().st_size > MAX_FILE:
+            raise DatasetError(f"expected at most {MAX_FILE} bytes, found more")
+        with ZipFile(path) as archive:
+            names, text = _names(archive), _load(archive, "header", MAX_BYTES).tobytes()
+            yield archive, parse_json(text, _Header, "header", DatasetError), names
+    except MagicalError as error:
+        raise DatasetError(f"{path}: {printable(str(error), MAX_MESSAGE)}") from error
+    except Exception as error:  # zipfile, zlib, NumPy and the constructors raise many kinds
+        what = printable(f"{type(error).__name__}: {error}")
+        raise DatasetError(f"{path}: expected a trajectory, found another file: {what}") from error
+
+
+def _names(archive: ZipFile) -> set[str]:
+    """The arrays' names; raises `DatasetError` if the archive declares too much."""
+    infos = archive.infolist()
+    if len(infos) > MAX_MEMBERS or sum(info.file_size for info in infos) > MAX_UNPACKED:
+        raise DatasetError(f"expected {MAX_MEMBERS} arrays and {MAX_UNPACKED} bytes at most")
+    if any(info.compress_type not in (ZIP_STORED, ZIP_DEFLATED) for info in infos):
+        raise DatasetError("expected deflated data, found another compression")  # needs gigabytes
+    return {info.filename.removesuffix(".npy") for info in infos}
+
+
+def _shape(archive: ZipFile, name: str, most: int = MAX_UNPACKED) -> tuple[int, ...]:
+    """The shape, of at most `most` numbers, that an array declares, if its bytes are those."""
+    with archive.open(f"{name}.npy") as file:
+        npy.read_magic(file)
+        shape, _, dtype = npy.read_array_header_1_0(file)
+        size = archive.getinfo(f"{name}.npy").file_size - file.tell()
+    if size != math.prod(shape) * dtype.itemsize or not 0 < math.prod(shape) <= most:
+        raise DatasetError(f"{printable(name)}: expected {size} bytes, found {dtype} {shape}")
+    return shape
+
+
+def _load(archive: ZipFile, name: str, most: int = MAX_UNPACKED) -> NDArray[Any]:
+    _shape(archive, name, most)
+    with archive.open(f"{name}.npy") as file:
+        array: NDArray[Any] = np.load(file, allow_pickle=False)
+        return array
+
+
+def _to_arrays(trajectory: Trajectory) -> dict[str, NDArray[Any]]:
+    header = {
+        "format": "magical-trajectory",
+        "version": 2,
+        **{name: getattr(trajectory, name) for name in _FIELDS},
+        "env_id": str(trajectory.env_id),
+        "scene": trajectory.scene.to_dict(),
+        "dynamics": trajectory.dynamics.to_dict(),
+    }
+    text = json.dumps(header).encode()
+    if len(text) > MAX_BYTES:
+        raise TrajectoryError(f"metadata: expected at most {MAX_BYTES} bytes, found {len(text)}")
+    arrays: dict[str, NDArray[Any]] = {"header": np.frombuffer(text, np.uint8)}
+    for name in (*ACTION_COLUMNS, "actors", "bodies"):
+        if (array := getattr(trajectory, name)) is not None:
+            arrays[name] = array if array.dtype.kind == "f" else array.astype(np.uint8)
+    for view, frames in (trajectory.frames or {}).items():
+        arrays[f"frames_{view}"] = frames
+    return arrays

@@ -1,1 +1,0 @@
-"""Demonstrations in other formats: Minari, LeRobot and videos."""

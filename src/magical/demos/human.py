@@ -1,0 +1,277 @@
+"""The human demonstrations published with the benchmark: downloading, reading, importing.
+
+They are gzipped pickles of 384 x 384 frames (milbench, 2020). Files with published names must have
+the published SHA-256 sums. Nothing that a pickle names is imported or called: the five names in the
+published files stand for constructors of plain data here, and any other is refused.
+"""
+
+import gzip
+import hashlib
+import io
+import math
+import pickle
+import pickletools
+import re
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass, field
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magical.demos.dataset import Dataset, DatasetWriter
+from magical.demos.parallel import map_in_order
+from magical.demos.trajectory import Trajectory, checked_actions
+from magical.envs.action_spec import Actions
+from magical.envs.ids import EnvId, parse_env_id
+from magical.errors import DatasetError, DownloadError, MagicalError, UnsafeFileError
+from magical.extras import require
+from magical.messages import printable, quoted
+from magical.scene import View
+from magical.scene.constants import FRAME_SIZE, RAW_FRAME_SIZE
+
+# The repository at the commit whose sums are in data/human-demos.sha256.
+COMMIT = "42eb21c4bd6c0e2262ccc2fc00ef2a36b10b6a5a"
+BASE_URL = f"https://raw.githubusercontent.com/qxcv/magical-data/{COMMIT}"
+SUFFIX = ".pkl.gz"
+MAX_FILE = 64 << 20  # bytes of a file; the largest published one has 2.5 MB
+MAX_UNPACKED = 512 << 20  # bytes of its pickle; the largest has 213 MB
+MAX_OPCODES = 200_000  # of a pickle, and so objects; the published ones have at most 17,500
+BINNING = RAW_FRAME_SIZE // FRAME_SIZE  # pixels averaged along each axis
+_SHAPE = (RAW_FRAME_SIZE, RAW_FRAME_SIZE, 3)
+
+
+@dataclass(frozen=True, slots=True)
+class PublishedDemonstration:
+    """A published demonstration of T actions."""
+
+    env_id: EnvId  # without a preset
+    actions: Actions  # (T,) int64
+    score: float  # by the published code's rule
+    source: Mapping[str, str]  # the file's name and SHA-256 sum
+    frames: Mapping[View, Sequence[NDArray[np.uint8]]]  # T + 1 frames (384, 384, 3) of each view
+
+    def trajectory(self) -> Trajectory:
+        """The trajectory of the frames averaged 4 x 4, without poses."""
+        return Trajectory(
+            env_id=self.env_id,
+            scene=self.env_id.task_spec.demo,  # every episode of a Demo environment has this scene
+            actions=self.actions,
+            frames={view: np.stack([*map(average, all_)]) for view, all_ in self.frames.items()},
+            published_code_score=self.score,
+            demonstrator="human",
+            metadata=self.source,
+        )
+
+
+@dataclass(slots=True)
+class ImportReport:
+    """Names of the files, grouped by the outcome of their import."""
+
+    imported: list[str] = field(default_factory=list)
+    already: list[str] = field(default_factory=list)  # already in the dataset
+    duplicates: list[tuple[str, str]] = field(default_factory=list)  # (file, earlier equal file)
+    failed: list[tuple[str, str]] = field(default_factory=list)  # (file, reason)
+
+
+def download(
+    sums: Mapping[str, str], folder: Path, base_url: str, progress: Callable[[int], None]
+) -> tuple[list[Path], list[str]]:
+    """Fetch the files that are not yet in a folder; returns the files there and the errors.
+
+    Args:
+        sums: the files' SHA-256 sums, by path relative to `base_url` and `folder`.
+        folder: where they are stored.
+        base_url: an http or https address.
+        progress: called with 1 after every file.
+
+    Raises:
+        DownloadError: the server cannot be reached.
+        MissingDependencyError: pooch is not installed.
+    """
+    require("human")
+    import pooch
+
+    pooch.get_logger().setLevel("WARNING")
+    registry = {name: f"sha256:{digest}" for name, digest in sums.items()}
+    url = base_url.rstrip("/") + "/"
+    source = pooch.create(folder, url, registry=registry, retry_if_failed=2)
+    found, errors = list[Path](), list[str]()
+    for name in sums:
+        try:
+            found.append(Path(source.fetch(name)))
+        except (OSError, ValueError) as error:
+            problem = f"{url}{name}: {printable(str(error))}; run again to fetch what is missing"
+            if isinstance(error, ConnectionError) or not found:
+                raise DownloadError(problem) from error
+            errors.append(problem)
+        progress(1)
+    return found, errors
+
+
+def find_published(source: Path) -> list[Path]:
+    """The published files in a folder and its subfolders, or `source` itself if it is a file."""
+    found = sorted(source.rglob(f"*{SUFFIX}")) if source.is_dir() else [source]
+    if not found or not found[0].is_file():
+        raise DatasetError(f"{source}: expected files *{SUFFIX}, found none")
+    return found
+
+
+def import_published(
+    files: Sequence[Path],
+    out: Path | str,
+    *,
+    workers: int = 1,
+    skip_duplicates: bool = False,
+    progress: Callable[[int], None] = lambda _: None,
+) -> ImportReport:
+    """Append published files to a dataset, in order; a bad file does not stop the others.
+
+    Files that are already in the dataset are skipped.
+
+    Args:
+        files: the published files.
+        out: the dataset's folder, created if it does not exist.
+        workers: as in `generate`; each takes half a gigabyte.
+        skip_duplicates: skip files with the same actions and frames as an earlier one.
+        progress: called with the number of files finished since the last call.
+
+    Raises:
+        DatasetError: the dataset cannot be written; what was already imported stays.
+    """
+    writer, entries = DatasetWriter(out), Dataset.open(out).entries
+    known = {(entry.name, entry.metadata.get("source_sha256")) for entry in entries}
+    wanted = [file for file in files if (file.name, sha256(file)) not in known]
+    report = ImportReport(already=[file.name for file in files if file not in set(wanted)])
+    first = {entry.fingerprint: entry.name for entry in entries}
+    progress(len(report.already))
+    workers = max(1, min(workers, len(wanted)))
+    with closing(map_in_order(_outcome, wanted, workers)) as outcomes:
+        for file, outcome in outcomes:
+            progress(1)
+            if not isinstance(outcome, Trajectory):
+                report.failed.append((str(file), outcome or ""))
+                continue
+            entry = writer.append(outcome)
+            if earlier := first.get(entry.fingerprint):
+                report.duplicates.append(
+                    (str(file) if earlier == file.name else file.name, earlier)
+                )
+                if skip_duplicates:
+                    (writer.path / entry.file).unlink()
+                    continue
+            first.setdefault(entry.fingerprint, file.name)
+            report.imported.append(file.name)
+    return report
+
+
+def _outcome(file: Path) -> Trajectory | str:
+    """One file's trajectory, or what is wrong with it."""
+    try:
+        return read_demonstration(file).trajectory()
+    except MagicalError as error:
+        return str(error)
+
+
+def read_demonstration(path: Path) -> PublishedDemonstration:
+    """Read one published file.
+
+    Raises:
+        UnsafeFileError: the file cannot be read, has not the published sum, is damaged, too large,
+            or contains anything other than a demonstration as plain data.
+    """
+    try:
+        digest = sha256(path)
+        expected = {Path(name).name: sum_ for name, sum_ in published_sums().items()}.get(path.name)
+        if expected not in (None, digest):
+            raise UnsafeFileError(f"expected SHA-256 {expected}, found {digest}")
+        with gzip.open(path) as file:
+            data = file.read(MAX_UNPACKED + 1)
+        if len(data) > MAX_UNPACKED:
+            raise UnsafeFileError(f"unpacks to more than {MAX_UNPACKED} bytes")
+        return _demonstration(_load(data), {"source": path.name, "source_sha256": digest})
+    except MagicalError as error:
+        raise UnsafeFileError(f"{path}: {error}") from error
+    except Exception as error:  # gzip, pickle and NumPy raise many kinds
+        what = printable(f"{type(error).__name__}: {error}")
+        raise UnsafeFileError(
+            f"{path}: expected a published demonstration, found {what}"
+        ) from error
+
+
+def average(frame: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """A frame (384, 384, 3) averaged 4 x 4 to (96, 96, 3), with halves rounded to even."""
+    rows = frame.reshape(FRAME_SIZE, BINNING, -1).sum(axis=1, dtype=np.uint16)
+    parts = rows.reshape(FRAME_SIZE, FRAME_SIZE, BINNING, 3)
+    total = parts[:, :, 0] + parts[:, :, 1] + parts[:, :, 2] + parts[:, :, 3]
+    mean: NDArray[np.uint8] = np.rint(total / BINNING**2).astype(np.uint8)
+    return mean
+
+
+def sha256(path: Path) -> str:
+    """The SHA-256 sum of a file of limited size; raises `UnsafeFileError`."""
+    if path.stat().st_size > MAX_FILE:
+        raise UnsafeFileError(f"{path}: expected at most {MAX_FILE} bytes, found more")
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+@cache
+def published_sums() -> Mapping[str, str]:
+    """SHA-256 sums of the 203 published files, by path in the repository qxcv/magical-data."""
+    text = (files("magical.demos") / "data" / "human-demos.sha256").read_text()
+    lines = (line.split(maxsplit=1) for line in text.splitlines())
+    return {path: digest for digest, path in lines}
+
+
+class _Record(NamedTuple):
+    """The named tuple of the published files."""
+
+    acts: Any
+    obs: Any
+    rews: Any
+    infos: Any
+
+
+_NAMES: Mapping[tuple[str, str], Any] = {
+    ("numpy", "dtype"): lambda code, *_: np.dtype({"u1": "u1", "i8": "<i8"}.get(code, "<f8")),
+    ("numpy", "ndarray"): None,  # the first argument of the next one, which does not use it
+    ("numpy.core.multiarray", "_reconstruct"): lambda *_: np.ndarray(0, np.uint8),
+    ("collections", "OrderedDict"): dict,
+    ("milbench.baselines.saved_trajectories", "MILBenchTrajectory"): _Record,
+}
+
+
+class _Unpickler(pickle.Unpickler):
+    def find_class(self, module: str, name: str) -> Any:
+        if (module, name) in _NAMES:
+            return _NAMES[module, name]
+        found = printable(f"{module}.{name}")
+        raise UnsafeFileError(f"expected plain data, found the name {found}; nothing was executed")
+
+
+def _load(data: bytes) -> Any:
+    for count, (opcode, argument, _) in enumerate(pickletools.genops(data)):
+        index = argument if isinstance(argument, int) and "PUT" in opcode.name else 0
+        if max(count, index) > MAX_OPCODES:
+            raise UnsafeFileError(f"expected at most {MAX_OPCODES} objects, found more")
+    return _Unpickler(io.BytesIO(data)).load()
+
+
+def _demonstration(data: Any, source: Mapping[str, str]) -> PublishedDemonstration:
+    record, env_name, score = data["trajectory"], data["env_name"], data["score"]
+    if not re.fullmatch(r"\w+-Demo-v0", env_name):  # no module's name, which would be imported
+        raise UnsafeFileError(f"expected a Demo environment, found {quoted(env_name)}")
+    if not isinstance(score, int | float) or not 0.0 <= score <= 1.0:
+        raise UnsafeFileError(f"score: expected a number from 0 to 1, found {quoted(score)}")
+    if len(record.obs) * math.prod(_SHAPE) > MAX_UNPACKED:  # frames may be shared
+        raise UnsafeFileError(f"obs: expected fewer, found {len(record.obs)}")
+    actions = checked_actions("acts", record.acts, len(record.obs) - 1)
+    frames = {view: [observed[view] for observed in record.obs] for view in View}
+    for frame in (frame for of_view in frames.values() for frame in of_view):
+        if not isinstance(frame, np.ndarray) or frame.shape != _SHAPE or frame.dtype != np.uint8:
+            raise UnsafeFileError(f"obs: expected uint8 frames {_SHAPE}, found {quoted(frame)}")
+    return PublishedDemonstration(parse_env_id(env_name), actions, float(score), source, frames)

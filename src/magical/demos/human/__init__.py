@@ -1,1 +1,0 @@
-"""The published human demonstrations: downloading, safe reading, and import into a dataset."""

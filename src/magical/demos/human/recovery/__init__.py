@@ -1,1 +1,0 @@
-"""Recovery of poses from the frames of the published human demonstrations."""

@@ -1,0 +1,232 @@
+"""The trajectory of one episode: initial scene, actions, and poses and velocities or frames."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from enum import IntEnum
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from magical.envs.action_spec import (
+    CONTINUOUS,
+    DISCRETE,
+    Actions,
+    ActionSpaceName,
+    ActionSpec,
+    action_spec,
+    spec_of,
+)
+from magical.envs.ids import EnvId, parse_env_id
+from magical.errors import InvalidActionError, TrajectoryError
+from magical.scene import Dynamics, Poses, Scene, View
+from magical.scene.constants import FRAME_SIZE
+from magical.scene.poses import FIRST_BLOCK
+from magical.tasks import Task
+
+VIEWS = tuple(str(view) for view in View)
+MAX_POSE = (10.0, 10.0, 1e6)  # units, units and radians: the workspace is [-1, 1] x [-1, 1]
+MAX_VELOCITY = 1e6  # units and radians per second
+ACTION_COLUMNS = "actions", "expert_actions", "policy_actions"  # all of the same kind
+
+
+class Actor(IntEnum):
+    """Who chose an executed action, in an episode with several actors."""
+
+    POLICY = 0
+    EXPERT = 1
+    HUMAN = 2
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False, kw_only=True)
+class Trajectory:
+    """A recorded episode of T control steps, with T + 1 time steps from `reset` to its end.
+
+    It has `bodies`, from which any view can be rendered exactly at any resolution, or `frames`, or
+    both. Velocities that were not recorded are NaN; state vectors need them. Arrays are made
+    read-only; writeable ones are copied. Metadata is plain JSON data.
+
+    `actions` are the executed ones, which led from each pose to the next. They are discrete or
+    continuous, as are all other actions of the episode. If actions other than the expert's were
+    executed, as in perturbed demonstrations and in DAgger's episodes, `expert_actions` has the
+    expert's choice in each state. Imitation learners learn `labels`.
+
+    In an episode in which a person watched a policy and took over, `actors` says who acted in each
+    step, and `policy_actions` what the policy chose in each state, executed or not. Learners leave
+    out the steps that are not `is_demonstrated`, so that no policy learns its own mistakes (Kelly
+    et al., "HG-DAgger: interactive imitation learning with human experts", ICRA 2019).
+
+    Raises:
+        TrajectoryError: the parts do not match; the message names the one at fault.
+        InvalidSceneError: no episode of the task can start from the scene.
+        UnknownNameError: there is no such environment.
+    """
+
+    env_id: EnvId  # without a preset, such as magical/FindDupe-TestAll-v0; a string is parsed
+    scene: Scene  # the initial scene
+    actions: Actions  # (T,), or (T, 3) if continuous; executed
+    published_code_score: float  # of the final state (docs/specification.md, section 9)
+    score: float | None = None  # of the final state by the appendix's rule; None: poses unknown
+    dynamics: Dynamics = field(default_factory=Dynamics)
+    seed: int | None = None  # passed to `reset`, if known
+    bodies: NDArray[np.float64] | None = None  # (T + 1, 5 + blocks, 6): poses and velocities
+    frames: Mapping[str, NDArray[np.uint8]] | None = None  # view: (T + 1, 96, 96, 3)
+    expert_actions: Actions | None = None  # as `actions`; None: the executed ones
+    actors: NDArray[np.uint8] | None = None  # (T,), of `Actor`; None: always the demonstrator
+    policy_actions: Actions | None = None  # as `actions`, of the watched policy
+    demonstrator: str = "unknown"  # the person or policy that chose the actions
+    metadata: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        put = partial(object.__setattr__, self)
+        put("env_id", parse_env_id(self.env_id).without_preset)
+        self.task.validate(self.scene)
+        steps, bodies = len(np.atleast_1d(self.actions)), FIRST_BLOCK + len(self.scene.blocks)
+        spec = CONTINUOUS if np.ndim(self.actions) == 2 else DISCRETE
+        for name in ACTION_COLUMNS:
+            if (column := getattr(self, name)) is not None:
+                put(name, checked_actions(name, column, steps, spec))
+        if self.actors is not None:
+            put("actors", _checked("actors", np.asarray(self.actors, np.uint8), "uint8", (steps,)))
+            if self.actors.max() > max(Actor):
+                raise TrajectoryError(f"actors: expected at most {max(Actor)}, found more")
+        if self.bodies is not None:
+            put("bodies", _checked("bodies", self.bodies, "float64", (steps + 1, bodies, 6)))
+            _check_range(self.bodies)
+        if self.frames is not None:
+            shape = (steps + 1, FRAME_SIZE, FRAME_SIZE, 3)
+            views = {str(view): frames for view, frames in self.frames.items()}
+            if not set(views) <= set(VIEWS):
+                raise TrajectoryError(f"frames: expected views of {VIEWS}, found {sorted(views)}")
+            put("frames", {v: _checked(f"{v} frames", views[v], "uint8", shape) for v in views})
+        if self.bodies is None and not self.frames:
+            raise TrajectoryError("expected bodies or frames, found none")
+
+    def __repr__(self) -> str:
+        by = f"score {self.score}, by {self.demonstrator!r}"
+        return f"Trajectory({str(self.env_id)!r}, {len(self)} steps, {by})"
+
+    @staticmethod
+    def from_bodies(
+        env_id: str, scene: Scene, actions: ArrayLike, bodies: ArrayLike, **more: Any
+    ) -> "Trajectory":
+        """A trajectory whose two scores are computed from its final poses.
+
+        `bodies` are (T + 1, 5 + blocks, 6), or (T + 1, 5 + blocks, 3) without velocities.
+        """
+        table, rows = np.asarray(bodies, np.float64), FIRST_BLOCK + len(scene.blocks)
+        if table.shape[1:] not in ((rows, 3), (rows, 6)) or not len(table):
+            raise TrajectoryError(
+                f"bodies: expected shape (T + 1, {rows}, 6 or 3), found {table.shape}"
+            )
+        parsed, last = parse_env_id(env_id), Poses(table[-1, :, :3])
+        task = parsed.task_spec
+        task.validate(scene)
+        return Trajectory(
+            env_id=parsed,
+            scene=scene,
+            actions=np.asarray(actions),
+            bodies=table if table.shape[2] == 6 else without_velocities(table),
+            score=float(task.score(scene, last)),
+            published_code_score=float(task.published_code_score(scene, last)),
+            **more,
+        )
+
+    def __len__(self) -> int:
+        """The number of actions, T."""
+        return len(self.actions)
+
+    @property
+    def poses(self) -> NDArray[np.float64] | None:
+        """The poses of `bodies`, (T + 1, 5 + blocks, 3); rows as in `Poses`."""
+        return None if self.bodies is None else np.ascontiguousarray(self.bodies[:, :, :3])
+
+    @property
+    def labels(self) -> Actions:
+        """The actions to imitate: `expert_actions` if there are any, otherwise `actions`."""
+        return self.actions if self.expert_actions is None else self.expert_actions
+
+    @property
+    def is_demonstrated(self) -> NDArray[np.bool_]:
+        """Whether each label, (T,), is a demonstrator's, not a policy's own action."""
+        if self.actors is None or self.expert_actions is not None:
+            return np.ones(len(self), np.bool_)
+        demonstrated: NDArray[np.bool_] = self.actors != Actor.POLICY
+        return demonstrated
+
+    @property
+    def is_intended(self) -> NDArray[np.bool_]:
+        """Whether each executed action, (T,), is one that a demonstrator chose."""
+        same = (self.labels == self.actions).reshape(len(self), -1).all(axis=1)
+        intended: NDArray[np.bool_] = self.is_demonstrated & same
+        return intended
+
+    @property
+    def action_space(self) -> ActionSpaceName:
+        """The kind of actions that it has."""
+        return spec_of(self.actions).name
+
+    def with_action_space(self, name: ActionSpaceName) -> "Trajectory":
+        """The same episode with actions of another kind, which produce the same motions.
+
+        Raises:
+            TrajectoryError: some continuous actions are not among the 18 discrete ones.
+            UnknownNameError: there is no such action space.
+        """
+        spec = action_spec(name)
+        if self.action_space == name:
+            return self
+        columns = {each: getattr(self, each) for each in ACTION_COLUMNS}
+        try:
+            converted: dict[str, Any] = {
+                each: spec.convert(column) for each, column in columns.items() if column is not None
+            }
+        except InvalidActionError as error:
+            raise TrajectoryError(f"{self.env_id}: {error}") from error
+        return replace(self, **converted)
+
+    @property
+    def task(self) -> Task:
+        """The task that was demonstrated."""
+        return self.env_id.task_spec
+
+
+def without_velocities(poses: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Bodies (..., 6) with these poses (..., 3) and velocities that are not known."""
+    return np.concatenate([poses, np.full_like(poses, np.nan)], axis=-1)
+
+
+def checked_actions(name: str, actions: Any, count: int, spec: ActionSpec = DISCRETE) -> Actions:
+    """`count` checked, read-only actions; raises `TrajectoryError`."""
+    if not count:
+        raise TrajectoryError(f"{name}: expected at least one, found none")
+    try:
+        return _frozen(spec.checked_batch(actions, count, name))
+    except InvalidActionError as error:
+        raise TrajectoryError(str(error)) from error
+
+
+def _checked(name: str, values: ArrayLike, dtype: str, shape: tuple[int, ...]) -> NDArray[Any]:
+    array = np.asarray(values)
+    if array.shape != shape or array.dtype != dtype:
+        raise TrajectoryError(
+            f"{name}: expected {dtype} {shape} for {shape[0] - 1} actions and the scene, "
+            f"found {array.dtype} {array.shape}"
+        )
+    return _frozen(array)
+
+
+def _check_range(bodies: NDArray[np.float64]) -> None:
+    size = np.abs(bodies)
+    if not (size[..., :3] <= MAX_POSE).all() or (size[..., 3:] > MAX_VELOCITY).any():
+        raise TrajectoryError(
+            f"bodies: expected finite x, y and angles of at most {MAX_POSE}, and velocities of "
+            f"at most {MAX_VELOCITY:g} or NaN, found {size.max(axis=(0, 1))}"
+        )
+
+
+def _frozen(array: NDArray[Any]) -> NDArray[Any]:
+    copied = array.copy() if array.flags.writeable or not array.flags.c_contiguous else array
+    copied.flags.writeable = False
+    return copied

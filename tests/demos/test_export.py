@@ -1,0 +1,184 @@
+"""Exports, read again by other libraries; the Hub is replaced by a folder."""
+
+import shutil
+from fnmatch import fnmatch
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from magical.cli import main
+from magical.demos import Dataset, DatasetWriter, observations
+from magical.demos.export import (
+    BANNER,
+    LAST_FRAME_REPEATS,
+    export_minari,
+    pull,
+    push,
+    video_frames,
+)
+from magical.errors import DatasetError
+from magical.observe import PRESETS
+from tests.demos.conftest import MakeTrajectory, Run
+
+REPO = "someone/demos"
+
+
+@pytest.fixture
+def mixed(
+    tmp_path: Path, make_trajectory: MakeTrajectory, make_frames_trajectory: MakeTrajectory
+) -> Path:
+    """Two environments with poses, one with frames."""
+    writer = DatasetWriter(tmp_path / "mixed")
+    for seed in (1, 2):
+        writer.append(make_trajectory(steps=6, seed=seed))
+    writer.append(make_trajectory("magical/MatchRegions-TestAll-v0", steps=5, seed=3))
+    writer.append(make_frames_trajectory(steps=4))
+    return writer.path
+
+
+def test_a_video_has_the_first_of_each_environment_or_the_chosen(
+    mixed: Path, tmp_path: Path, run: Run
+) -> None:
+    av = pytest.importorskip("av", reason="the video extra is not installed")
+    out = tmp_path / "video.mp4"
+    status, result = run("video", mixed, "--out", out)
+    assert (status, result["count"]) == (0, 3)
+    with av.open(str(out)) as video:
+        frames = list(video.decode(video=0))
+    assert result["frames"] == len(frames) == 7 + 6 + 5 + 3 * LAST_FRAME_REPEATS
+    assert frames[0].to_ndarray(format="rgb24").shape == (384 + BANNER, 768, 3)
+    assert [float(frame.pts * frame.time_base) for frame in frames[:3]] == [0.0, 1 / 8, 2 / 8]
+    assert run("video", mixed, "--out", out, "--index", 3)[1]["frames"] == 5 + LAST_FRAME_REPEATS
+    assert main(["demos", "video", str(mixed), "--out", str(out), "--index", "9"]) == 1
+
+
+def test_a_video_shows_both_views_and_the_score(make_frames_trajectory: MakeTrajectory) -> None:
+    recorded = make_frames_trajectory()
+    first, *_, last = video_frames(recorded)
+    for start, view in ((0, "ego"), (384, "allo")):
+        columns = slice(start, start + 384, 4)
+        np.testing.assert_array_equal(first[BANNER::4, columns], recorded.frames[view][0])
+        np.testing.assert_array_equal(last[BANNER::4, columns], recorded.frames[view][-1])
+    assert (first[:BANNER] != last[:BANNER]).any()
+
+
+@pytest.mark.parametrize("preset", ["LoRes4E", "LoResStack"])
+def test_a_minari_export_is_lossless(
+    mixed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, preset: str
+) -> None:
+    minari = pytest.importorskip("minari", reason="the minari extra is not installed")
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "minari"))
+    dataset = Dataset.open(mixed)
+    names = export_minari(dataset, name="mine", preset=preset)
+    assert sorted(minari.list_local_datasets()) == sorted(names)
+    for name in names:
+        task, variant, _ = name.split("/")[1].split("-")
+        part, loaded = dataset.filter(task=task, variant=variant), minari.load_dataset(name)
+        assert loaded.observation_space == PRESETS[preset].space
+        assert loaded.action_space.n == 18
+        for episode, trajectory in zip(loaded, part, strict=True):
+            np.testing.assert_equal(episode.observations, observations(trajectory, preset))
+            np.testing.assert_array_equal(episode.actions, trajectory.actions)
+            assert episode.truncations.tolist() == [False] * (len(trajectory) - 1) + [True]
+            assert not episode.terminations.any()
+            assert episode.infos["published_code_score"][-1] == trajectory.published_code_score
+    recovered = minari.load_dataset(names[0]).recover_environment()
+    assert recovered.observation_space == PRESETS[preset].space
+    recovered.reset(seed=0)
+    assert [recovered.step(0)[3] for _ in range(6)] == [False] * 5 + [True]
+    with pytest.raises(DatasetError, match="Minari refuses"):
+        export_minari(dataset, name="mine", preset=preset)
+
+
+def test_labels_are_infos_beside_the_executed_actions(
+    tmp_path: Path, make_trajectory: MakeTrajectory, monkeypatch: pytest.MonkeyPatch, run: Run
+) -> None:
+    minari = pytest.importorskip("minari", reason="the minari extra is not installed")
+    writer = DatasetWriter(tmp_path / "labelled")
+    writer.append(make_trajectory(steps=3, seed=1, actors=[0, 2, 0]))
+    writer.append(make_trajectory(steps=3, seed=2, expert_actions=[17, 0, 4]))
+    monkeypatch.setenv("MINARI_DATASETS_PATH", "")
+    command = ("export", writer.path, "--to", "minari", "--out", tmp_path / "minari")
+    status, result = run(*command)
+    assert (status, result["episodes"]) == (0, 2)
+    first, second = minari.load_dataset(result["datasets"][0])
+    assert "expert_action" not in first.infos
+    assert first.infos["is_demonstrated"].tolist() == [False, True, False, False]
+    assert second.infos["expert_action"].tolist() == [17, 0, 4, -1]
+
+
+class Hub:
+    """The calls of `huggingface_hub` that are made, on a folder."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.created = folder, list[dict[str, Any]]()
+
+    def create_repo(self, **options: Any) -> str:
+        self.created.append(options)
+        return f"https://hub/datasets/{REPO}"
+
+    def upload_folder(self, folder_path: Path, allow_patterns: Any, **options: Any) -> None:
+        for file in self.folder.glob("*"):
+            if any(fnmatch(file.name, pattern) for pattern in options["delete_patterns"]):
+                file.unlink()
+        for name in allow_patterns:
+            shutil.copy(folder_path / name, self.folder / name)
+
+    def upload_file(self, path_or_fileobj: bytes, path_in_repo: str, **_: Any) -> None:
+        (self.folder / path_in_repo).write_bytes(path_or_fileobj)
+
+    def snapshot_download(self, _: str, local_dir: Path, allow_patterns: Any, **__: Any) -> None:
+        Path(local_dir).mkdir()
+        for file in self.folder.glob(allow_patterns[0]):
+            shutil.copy(file, local_dir)
+
+
+@pytest.fixture
+def hub(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Hub:
+    library = pytest.importorskip("huggingface_hub", reason="the hub extra is not installed")
+    (tmp_path / "hub").mkdir()
+    made = Hub(tmp_path / "hub")
+    monkeypatch.setattr(library, "HfApi", lambda: made)
+    monkeypatch.setattr(library, "snapshot_download", made.snapshot_download)
+    return made
+
+
+def test_a_dataset_comes_back_from_the_hub_as_it_was(
+    hub: Hub, small_dataset: Path, tmp_path: Path, run: Run
+) -> None:
+    dataset, back = Dataset.open(small_dataset), str(tmp_path / "back")
+    status, result = run("push", small_dataset, REPO, "--licence", "cc-by-4.0", "--private")
+    assert (status, result["count"]) == (0, 3)
+    assert hub.created[0]["private"]
+    card = (hub.folder / "README.md").read_text()
+    assert card.startswith("---\nlicense: cc-by-4.0\n")
+    assert "- 1 of magical/FindDupe-TestAll-v0 by other" in card
+    assert run("pull", REPO, "--out", back) == (0, {"out": back, "count": 3})
+    assert Dataset.open(back).entries == dataset.entries
+    with pytest.raises(DatasetError, match="new folder"):
+        pull(REPO, back)
+    push(dataset[1:], REPO, "mit")
+    assert list(pull(REPO, tmp_path / "some").entries) == list(dataset.entries[1:])
+
+
+def test_published_demonstrations_are_not_pushed(
+    hub: Hub, make_trajectory: MakeTrajectory, tmp_path: Path
+) -> None:
+    source = {"source": "demo-1.pkl.gz", "source_sha256": "a" * 64}
+    DatasetWriter(tmp_path / "human").append(make_trajectory(metadata=source))
+    with pytest.raises(DatasetError, match=r"without a licence, such as demo-1\.pkl\.gz"):
+        push(Dataset.open(tmp_path / "human"), REPO, "cc-by-4.0")
+    assert not hub.created
+
+
+def test_what_the_hub_refuses_is_said_in_a_line(
+    hub: Hub, small_dataset: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def denied(**_: Any) -> None:
+        raise OSError("401: log in\nand more")
+
+    monkeypatch.setattr(hub, "create_repo", denied)
+    with pytest.raises(DatasetError, match=r"^someone/demos on the Hub: 401: log in$"):
+        push(Dataset.open(small_dataset), REPO, "mit")
