@@ -45,6 +45,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Execute the plan, write the page, say in three sentences what came of it."""
+    from magical.processes import available_cores
     from magical_baselines.experiments import plan as plans
     from magical_baselines.experiments.execution import Processes, execute
     from magical_baselines.experiments.status import read_status
@@ -63,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
         args.out,
         Processes.for_runs(runs, args.workers),
         references=plans.planned_references(plan),
-        workers=args.workers,
+        workers=args.workers or available_cores(),
         command=list(map(str, command)),
     )
     status = read_status(args.out)

@@ -65,23 +65,22 @@ def run(args: argparse.Namespace) -> int:
     runs, out = planned_runs(plan), args.out or Path("runs") / path.stem
     if args.dry_run:
         return _dry_run(args, runs, out)
-    from magical_baselines.experiments.execution import Executor, Processes, execute
+    from magical.processes import available_cores
+    from magical_baselines.experiments.execution import Processes, execute
     from magical_baselines.experiments.status import read_status
 
-    executor: Executor
     if on_cluster:
         from magical_baselines.experiments.cluster import RayTasks  # an optional library
 
         cores = args.workers and args.workers * plan.threads
-        executor = RayTasks(out, args.address, cores, args.gpus)
-    else:
-        executor = Processes.for_runs(runs, args.workers)
     interrupted = execute(
         runs,
         out,
-        executor,
+        RayTasks(out, args.address, cores, args.gpus)
+        if on_cluster
+        else Processes.for_runs(runs, args.workers),
         references=planned_references(plan),
-        workers=args.workers,
+        workers=args.workers or available_cores(),
         retry_failed=args.retry_failed,
         command=["run", args.plan, *(["--demos", args.demos] if args.demos else [])],
     )

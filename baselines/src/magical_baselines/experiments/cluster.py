@@ -19,15 +19,13 @@ from magical_baselines.experiments.one_run import Planned, finish, modules_neede
 from magical_baselines.experiments.plan import PlannedRun
 
 RETRIES = 3  # after a node, or a process on it, has died
-OF_THE_RUN = (  # errors that a run causes itself, not the cluster
-    *(exceptions.RayTaskError, exceptions.TaskCancelledError),
-    *(exceptions.WorkerCrashedError, exceptions.OutOfMemoryError),
-)
+# Errors that a run causes itself, not the cluster.
+OF_THE_RUN = exceptions.RayTaskError, exceptions.WorkerCrashedError, exceptions.OutOfMemoryError
 MAX_ERROR = 500  # characters of Ray's own messages
 
 
 class RayTasks:
-    """An executor whose runs are Ray tasks; each reserves its threads and a share of a GPU.
+    """Runs as Ray tasks; each reserves its threads and a share of a GPU.
 
     A node that shares the results folder writes there, and a run that is restarted resumes.
     Otherwise Ray sends the demonstrations to the node, and back the folder of a finished run.
@@ -41,11 +39,9 @@ class RayTasks:
             elif cores or not _connected():
                 ray.init(address="local", num_cpus=cores, log_to_driver=False)
         except (ConnectionError, RuntimeError, ValueError, TimeoutError) as error:
-            raise ClusterError(
-                f"the Ray cluster at {address or 'this machine'} cannot be reached: "
-                f"{printable(str(error), MAX_ERROR)}; start one with `ray start --head`, and give "
-                "the address that it prints"
-            ) from error
+            why = printable(str(error), MAX_ERROR)
+            then = "start one with `ray start --head`, and give the address that it prints"
+            raise ClusterError(f"{address or 'Ray'} cannot be reached: {why}; {then}") from error
         out.mkdir(parents=True, exist_ok=True)
         # A node that sees this sees the folder itself, not one of its own at the same path.
         self.marker = Path(tempfile.mkdtemp(".ray", ".", out.absolute()))
@@ -54,15 +50,13 @@ class RayTasks:
         self._started: list[Any] = []
 
     def submit(self, work: Planned, folder: Path, demos: Path | None) -> "Future[None]":
-        """See `Executor`."""
+        """Call `one_run.finish` on a node; `ClusterError` in the future if the cluster is lost."""
         if demos and demos not in self._packed:
             self._packed[demos] = ray.put(pack(demos))
-        threads = work.config.threads if isinstance(work, PlannedRun) else 1
-        task = self._task.options(
-            name=folder.name, num_cpus=threads, num_gpus=self._gpus, max_retries=RETRIES
-        )
-        # A reference in a list is not fetched before it is needed.
-        packed = [self._packed[demos]] if demos else []
+        cores = work.config.threads if isinstance(work, PlannedRun) else 1
+        options = {"num_cpus": cores, "num_gpus": self._gpus, "max_retries": RETRIES}
+        task = self._task.options(name=folder.name, **options)
+        packed = [self._packed[demos]] if demos else []  # in a list it is fetched only if needed
         modules = modules_needed(work)
         self._started.append(task.remote(work, folder, demos, packed, self.marker, modules))
         settled: Future[None] = Future()
@@ -70,7 +64,7 @@ class RayTasks:
         return settled
 
     def stop(self) -> None:
-        """See `Executor`."""
+        """Start nothing more, and have runs in progress save a checkpoint and end."""
         while self._started:
             ray.cancel(self._started.pop(), force=False)
 

@@ -22,7 +22,7 @@ from magical_baselines.experiments.status import DEMOS
 def prepare_demonstrations(
     runs: Sequence[PlannedRun],
     out: Path,
-    workers: int | None = None,
+    workers: int = 1,
     progress: Callable[[int], None] | None = None,
 ) -> Path | None:
     """The dataset that the runs of a plan learn from; `None` if they need no demonstrations.

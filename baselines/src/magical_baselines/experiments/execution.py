@@ -14,7 +14,7 @@ from itertools import cycle, islice
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Lock
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from filelock import FileLock, Timeout
 
@@ -32,32 +32,21 @@ from magical_baselines.experiments.status import DEMOS, DONE, FAILED, LOCK, read
 from magical_baselines.running.devices import visible_gpus
 from magical_baselines.running.interrupts import Interrupts
 
+if TYPE_CHECKING:
+    from magical_baselines.experiments.cluster import RayTasks
+
 POLL = 0.2  # seconds between checks for signals
 # A run sets its number of threads; libraries that start one for each core only cost memory.
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
-class Executor(Protocol):
-    """A place where `magical_baselines.experiments.one_run.finish` is called."""
-
-    def submit(self, work: Planned, folder: Path, demos: Path | None) -> "Future[None]":
-        """Call `finish(work, folder, demos)` as soon as there is room."""
-
-    def stop(self) -> None:
-        """Start nothing more, and have the runs in progress save a checkpoint and end."""
-
-    def close(self) -> None:
-        """End everything at once."""
-
-
 class Processes:
-    """An executor with a process on this machine for each run; they take turns on its GPUs.
+    """A process on this machine for each run, `count` at a time; they take turns on its GPUs.
 
     A process that is killed costs its run alone. All end with this process, however it ends.
     """
 
     def __init__(self, count: int) -> None:
-        """`count`: how many there are at a time."""
         self._threads = ThreadPoolExecutor(count)
         self._environs: SimpleQueue[Mapping[str, str]] = SimpleQueue()
         gpus = [{"CUDA_VISIBLE_DEVICES": gpu} for gpu in visible_gpus()]
@@ -73,7 +62,7 @@ class Processes:
         return cls(workers or max(1, available_cores() // threads))
 
     def submit(self, work: Planned, folder: Path, demos: Path | None) -> "Future[None]":
-        """See `Executor`; the future raises `WorkerDiedError` if the process was killed."""
+        """Call `one_run.finish` in a process; `WorkerDiedError` in the future if it is killed."""
         message = pickle.dumps(modules_needed(work)) + pickle.dumps((work, folder, demos))
         return self._threads.submit(self._run, message)
 
@@ -99,14 +88,14 @@ class Processes:
             raise WorkerDiedError(f"its process {_end(child.returncode)}")
 
     def stop(self) -> None:
-        """See `Executor`; sends SIGTERM (on Windows, which has none, every process ends)."""
+        """Start nothing more, and have runs in progress save a checkpoint and end, by SIGTERM."""
         with self._lock:
             self._stopped = True
             for child in list(self._children):
                 child.terminate()
 
     def close(self) -> None:
-        """See `Executor`."""
+        """End everything at once."""
         self.stop()
         for child in list(self._children):
             child.kill()
@@ -133,10 +122,10 @@ def _end(code: int) -> str:
 def execute(
     runs: Sequence[PlannedRun],
     out: Path,
-    executor: Executor,
+    executor: "Processes | RayTasks",
     *,
     references: Sequence[PlannedReference] = (),
-    workers: int | None = None,
+    workers: int = 1,
     retry_failed: bool = False,
     command: Sequence[str] = (),
 ) -> bool:
@@ -147,17 +136,15 @@ def execute(
         out: the results folder, new or of an earlier version of the plan.
         executor: where they are executed.
         references: the plan's reference policies.
-        workers: processes that generate demonstrations; by default one for each core.
+        workers: processes that generate demonstrations.
         retry_failed: run failed runs again; they continue from their last checkpoint.
         command: the words of the command that does this, but for the folder, for `magical status`.
 
     Returns:
-        Whether Ctrl-C or SIGTERM interrupted it; they leave checkpoints. A second one raises
-        `KeyboardInterrupt`.
+        Whether Ctrl-C or SIGTERM interrupted it; they leave checkpoints.
 
     Raises:
-        ResultsError: the folder holds other things, or a run with other settings; another process
-            executes a plan in it; or no space is left.
+        ResultsError: the folder cannot be used for these runs, or no space is left.
         ClusterError: the Ray cluster is lost.
         DatasetError, DemonstrationsError: no demonstrations to learn from, or too few.
     """
@@ -186,7 +173,10 @@ class _Interrupted(Exception):
 
 
 def _finish_all(
-    work: Mapping[Planned, Path], demos: Path | None, executor: Executor, stop: Interrupts
+    work: Mapping[Planned, Path],
+    demos: Path | None,
+    executor: "Processes | RayTasks",
+    stop: Interrupts,
 ) -> None:
     ended: SimpleQueue[Future[None]] = SimpleQueue()
     started = {executor.submit(each, folder, demos): each for each, folder in work.items()}
@@ -229,23 +219,19 @@ def opened(out: Path) -> Iterator[None]:
         known = {RUNS, REFERENCES, DEMOS}  # of a plan that was killed
         if not out.is_dir() or {path.name for path in out.glob("[!.]*")} - known:
             raise ResultsError(
-                f"{out}: expected a new or an empty folder, found other things; choose another one"
+                f"{out}: expected an empty folder, found other things; choose another"
             )
     try:
         out.mkdir(parents=True, exist_ok=True)
         with FileLock(out / LOCK, timeout=1):  # `magical status` takes it for a moment
             yield
     except Timeout as error:
-        raise ResultsError(
-            f"{out}: another process runs a plan in this folder; wait for it to end, or stop it"
-        ) from error
+        raise ResultsError(f"{out}: another process runs a plan in it; wait, or stop it") from error
     except OSError as error:
-        if not is_out_of_space(error):
-            raise
-        raise ResultsError(
-            f"{out}: no space left on the device. Finished runs and checkpoints are intact: free "
-            "some space, then run the same command again"
-        ) from error
+        if is_out_of_space(error):
+            then = "free some space, then run the same command again"
+            raise ResultsError(f"{out}: no space left on the device; {then}") from error
+        raise
 
 
 def planned_state(run: PlannedRun, out: Path) -> str | None:

@@ -141,16 +141,10 @@ def find_plan(name: str) -> Path:
 
 
 def read_plan(path: Path, demos: str | None = None) -> Plan:
-    """Read a plan from a TOML file.
+    """Read a plan from a TOML file; `demos` replaces the file's.
 
-    Args:
-        path: the file.
-        demos: replaces the file's `demos`.
-
-    Raises:
-        PlanError: not TOML, unknown names, values of other types, settings that cannot be combined,
-            or the same run twice.
-        MissingDependencyError: PyTorch is not installed.
+    Raises `PlanError`: not TOML, unknown names, values of other types, settings that cannot be
+    combined, or the same run twice.
     """
     plan = read_toml(path, Plan, PlanError)
     try:
@@ -183,12 +177,7 @@ class DemonstrationSource:
 
     def __str__(self) -> str:
         """Such as `dataset`, or `expert, perturb 0.2`."""
-        how = (f"{name} {value:g}" for name, value in self.generation.items())
-        return ", ".join([self.kind, *how])
-
-    def settings(self) -> dict[str, Any]:
-        """What scores depend on in addition to the kind."""
-        return {"expert_demos": self.expert_demos, **self.generation}
+        return ", ".join([self.kind, *(f"{key} {x:g}" for key, x in self.generation.items())])
 
 
 @dataclass(frozen=True, slots=True)
@@ -236,7 +225,8 @@ class PlannedRun:
             "horizon": self.evaluation.horizon or "appendix",
             "nudge": self.evaluation.nudge,
         }
-        return {"config": config, **self.source.settings(), "evaluation": evaluation}
+        source = {"expert_demos": self.source.expert_demos, **self.source.generation}
+        return {"config": config, **source, "evaluation": evaluation}
 
 
 @dataclass(frozen=True, slots=True)
@@ -264,8 +254,7 @@ def folder_name(method: str, tasks: Sequence[str], seed: int) -> str:
 def planned_runs(plan: Plan) -> list[PlannedRun]:
     """Every run of a plan, by method, then task, then seed.
 
-    Raises:
-        PlanError: a method's settings are invalid, or two runs are the same.
+    Raises `PlanError`: a method's settings are invalid, or two runs are the same.
     """
     runs: list[PlannedRun] = []
     for number, method in enumerate(plan.methods):
@@ -313,10 +302,8 @@ def _planned_run(plan: Plan, method: Method, tasks: tuple[str, ...]) -> PlannedR
     config = kind.preset(preset, **given)
     if config.threads < 1:
         raise PlanError(f"threads: expected at least 1, found {config.threads}")
-    demonstrations = config.part(DemonstrationSettings)
-    source = (
-        _source(plan, tasks, demonstrations.num_demos) if demonstrations else DemonstrationSource()
-    )
+    wanted = config.part(DemonstrationSettings)
+    source = _source(plan, tasks, wanted.num_demos) if wanted else DemonstrationSource()
     evaluation = _evaluation(plan, tasks)
     return PlannedRun(method.name, preset, config, source, evaluation, plan.variants)
 
@@ -335,9 +322,7 @@ def _source(plan: Plan, tasks: Sequence[str], num_demos: int) -> DemonstrationSo
     """Where a run's `num_demos` demonstrations of each task come from."""
     dataset = plan.demos != EXPERT
     if plan.add_expert and not dataset:
-        raise PlanError(
-            f"add_expert: expected demos, or --demos, to be a folder with a dataset, found {EXPERT}"
-        )
+        raise PlanError(f"add_expert: expected demos, or --demos, to be a folder, found {EXPERT}")
     if dataset and not plan.add_expert:
         for name in ("perturb", "min_score"):
             if getattr(plan, name):

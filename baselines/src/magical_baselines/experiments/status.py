@@ -38,14 +38,8 @@ class RunStatus(ListedRun):
 
     @property
     def progress(self) -> str:
-        """In words: an error, or how far training is."""
-        if self.state == DONE or (self.state == WAITING and not self.step):
-            return ""
-        if self.state == FAILED:
-            return self.error
-        if self.step == self.total:
-            return "trained, is evaluated" if self.state == RUNNING else "trained"
-        return f"{self.step:,} of {self.total:,}"
+        """An error, or how far training is."""
+        return f"{self.step:,} of {self.total:,}" if self.step else self.error
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,10 +93,7 @@ def read_status(folder: Path | str) -> Status:
     """
     path = Path(folder)
     if not (path / PLAN).is_file():
-        raise ResultsError(
-            f"{path}: expected a results folder with {PLAN} (`magical run PLAN --out DIR` makes "
-            "one), found none"
-        )
+        raise ResultsError(f"{path}: expected a results folder of `magical run`, found no {PLAN}")
     listing = read_listing(path)
     runs = tuple(_status(path / RUNS / run.folder, run) for run in listing.runs)
     entries = (path / REFERENCES / name / ENTRY_FILE for name in listing.references or ())
@@ -130,10 +121,8 @@ def read_result(folder: Path) -> dict[str, Any]:
         return {}
     record = read_json(folder / RESULT, dict[str, Any], ResultsError)
     if (state := record.get("state")) not in (DONE, FAILED):
-        raise ResultsError(
-            f"{folder / RESULT}: expected a state, {DONE} or {FAILED}, found {quoted(state)}; "
-            "remove the file to finish the run again"
-        )
+        found = f"expected {DONE} or {FAILED}, found {quoted(state)}"
+        raise ResultsError(f"{folder / RESULT}: state: {found}; remove the file")
     return record
 
 
