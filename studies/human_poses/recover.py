@@ -21,8 +21,8 @@ from outlines import VIEW_WIDTH
 
 from magical.demos import Dataset, DatasetWriter, Trajectory
 from magical.demos.human import PublishedDemonstration, find_published, read_demonstration
-from magical.demos.parallel import map_in_order
 from magical.physics import Simulation
+from magical.processes import map_in_order
 from magical.render import Renderer
 from magical.scene import Poses, Scene, View
 from magical.scene.actions import POINTS

@@ -23,7 +23,6 @@ from magical_baselines.running.devices import (
     has_bfloat16,
     restored_threads,
 )
-from magical_baselines.running.speed import training_speeds
 
 
 @pytest.mark.parametrize("ability", ["amx_bf16", "avx512_bf16"])
@@ -91,17 +90,6 @@ def test_denormals_are_flushed_in_training(demos: Path, tmp_path: Path) -> None:
     train(config, tmp_path, callback=lambda *_: during.append(keeps_denormals()))
     assert during == [False]
     assert keeps_denormals()
-
-
-def test_every_way_is_measured() -> None:
-    with restored_threads():
-        torch.set_num_threads(2)
-        speeds = training_speeds("light", batch_size=2, device="cpu", rounds=1)
-        assert torch.get_num_threads() == 2
-    assert {(way.precision, way.threads) for way in speeds} == {
-        (precision, threads) for precision in ("float32", "bfloat16") for threads in (1, 2)
-    }
-    assert all(speed > 0 for speed in speeds.values())
 
 
 def float32_precisions() -> list[str]:

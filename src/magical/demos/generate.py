@@ -8,7 +8,6 @@ from itertools import count
 from pathlib import Path
 
 from magical.demos.dataset import Dataset, DatasetWriter
-from magical.demos.parallel import map_in_order
 from magical.demos.record import provenance
 from magical.demos.trajectory import Trajectory
 from magical.envs.ids import parse_env_id
@@ -16,6 +15,7 @@ from magical.envs.seeds import episode_seed
 from magical.errors import DatasetError
 from magical.experts import modules_of, rollout
 from magical.experts.noise import check_share
+from magical.processes import map_in_order
 from magical.tasks import with_tasks
 
 MAX_DROPPED = 20  # attempts below the score, per requested demonstration, before giving up

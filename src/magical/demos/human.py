@@ -24,13 +24,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical.demos.dataset import Dataset, DatasetWriter
-from magical.demos.parallel import map_in_order
 from magical.demos.trajectory import Trajectory, checked_actions
 from magical.envs.action_spec import Actions
 from magical.envs.ids import EnvId, parse_env_id
 from magical.errors import DatasetError, DownloadError, MagicalError, UnsafeFileError
 from magical.extras import require
 from magical.messages import printable, quoted
+from magical.processes import map_in_order
 from magical.scene import View
 from magical.scene.constants import FRAME_SIZE, RAW_FRAME_SIZE
 
