@@ -18,31 +18,34 @@ from itertools import product
 from magical.experts.rollout import rollout
 from magical.scene import Poses, Scene
 from magical.tasks import TASKS, get_task
-from magical.tasks.programs import (
-    SUCCESS,
+from magical.tasks.scoring import SUCCESS
+from magical_goals.language import parsing
+from magical_goals.language.expressions import (
     AllBut,
     And,
     Attribute,
     Beside,
+    Expression,
+    Or,
+    Place,
+    Selection,
+)
+from magical_goals.language.generated import HELD_OUT
+from magical_goals.language.goals import (
     Clustered,
     Each,
     Every,
     Exactly,
-    Expression,
     Goal,
     Lined,
     OneOf,
     Only,
-    Or,
-    Place,
     RobotInside,
-    Selection,
     Together,
     Undisturbed,
-    prior,
 )
-from magical.tasks.programs.prior import simple_expressions
-from magical.tasks.programs.suite import HELD_OUT, task_name
+from magical_goals.language.parsing import simple_expressions
+from magical_goals.language.programs import program_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,12 +77,12 @@ class Mass:
 
 def part(expression: Expression) -> Mass:
     """The choice of an expression and of its words."""
-    return Mass.of(prior.bits_of_part(expression))
+    return Mass.of(parsing.bits_of_part(expression))
 
 
 def choice(kind: type[Expression]) -> Mass:
     """The choice of a selection, a place or a goal."""
-    return Mass.of(prior.choice(kind))
+    return Mass.of(parsing.choice(kind))
 
 
 def selections(scene: Scene) -> Mapping[frozenset[int], tuple[Selection, Mass]]:
@@ -143,12 +146,11 @@ def _sum(masses: Iterable[Mass]) -> Mass:
 def row(name: str, demonstrations: int) -> str:
     """A scene's line in the table."""
     task = get_task(name)
-    assert task.program is not None
     episodes = [rollout(name, "Demo", seed) for seed in range(demonstrations)]
     solved = [Poses(episode.poses[-1]) for episode in episodes if episode.score >= 1.0]
     single, both = explanations(task.demo, solved)
     all_of_them = single + both
-    bits = prior.bits(task.program)
+    bits = sum(map(parsing.bits_of_part, program_of(name).parts))
     truth = 2.0**-bits / all_of_them.weight if all_of_them.weight else 0.0
     return (
         f"| {name} | {len(solved)} | {single.count:,} | {all_of_them.count:,} | "
@@ -162,7 +164,7 @@ def main() -> None:
     parser.add_argument("--generated", type=int, default=0, help="held-out tasks besides")
     args = parser.parse_args()
     names = [name for name, task in TASKS.items() if task.section]
-    names += [task_name(number) for number in HELD_OUT[: args.generated]]
+    names += HELD_OUT[: args.generated]
     print("| Demo scene | of 1 or 10 demos, with score 1 | programs of one goal ", end="")
     print("| of one or two | entropy | own bits | own p |")
     print("| --- | --- | --- | --- | --- | --- | --- |")

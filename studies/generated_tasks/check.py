@@ -4,7 +4,7 @@
 
 Adds a line for each number to `expert.csv` beside this file, where it lacks one; the same command
 continues one that was interrupted. Then it prints the numbers of the suite, as they stand in
-`magical.tasks.programs.suite`, and what was rejected.
+`magical_goals.language.generated`, and what was rejected.
 """
 
 import argparse
@@ -15,11 +15,13 @@ from pathlib import Path
 
 from magical.evaluation import environments, evaluate, load_policy, summarise
 from magical.evaluation.protocol import NUDGE
-from magical.tasks import TASKS, get_task
-from magical.tasks.programs.suite import LEAST_SCORES, SIZE, task_name
+from magical_goals.language.generated import task_name
+from magical_goals.language.programs import PROGRAMS, program_of
 
 SCORES = Path(__file__).with_name("expert.csv")
 FIELDS = ("number", "program", "Demo", "All")
+SIZE = 96  # of the suite
+LEAST_SCORES = {"Demo": 0.9, "All": 0.8}  # minimum mean scores of the expert, by variant
 ROLLOUTS = 20  # of each environment, with the seeds of an evaluation
 
 
@@ -33,9 +35,9 @@ def read_scores() -> dict[int, dict[str, str]]:
 
 def new_programs(first: int, last: int) -> Iterator[tuple[int, str]]:
     """Numbers from `first`, below `last`, with programs that no lower number and no task has."""
-    seen = {repr(task.program) for task in TASKS.values()}
+    seen = set(map(repr, PROGRAMS.values()))
     for number in range(last):
-        program = repr(get_task(task_name(number)).program)
+        program = repr(program_of(task_name(number)))
         if program not in seen and number >= first:
             yield number, program
         seen.add(program)

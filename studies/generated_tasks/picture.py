@@ -11,7 +11,7 @@ from PIL import Image, ImageDraw, ImageFont
 from magical.render import render_frame
 from magical.scene import Poses, View
 from magical.tasks import get_task
-from magical.tasks.programs.suite import SUITE, task_name
+from magical_goals.language.generated import SUITE, task_name
 
 PICTURE = Path(__file__).with_name("scenes.png")
 SIZE, TEXT, COLUMNS = 192, 62, 4  # pixels across a scene, below it for words; scenes in a row

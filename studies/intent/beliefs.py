@@ -6,10 +6,11 @@ python -m studies.intent.beliefs --demos FOLDER [--picture FILE]
 import argparse
 from pathlib import Path
 
-from magical.tasks import TASKS, get_task
+from magical.tasks import TASKS
 from magical_baselines.data.expert_data import sample_demonstrations
 from magical_goals.intent.picture import draw_beliefs
 from magical_goals.intent.posterior import Belief
+from magical_goals.language.programs import program_of
 from magical_goals.objects.data import parse_demonstrations
 from magical_goals.objects.parser import parse_frames
 from magical_goals.program_bc import ProgramBCConfig, infer_beliefs
@@ -20,7 +21,7 @@ DEMONSTRATIONS = 10
 
 def row(task: str, belief: Belief) -> list[str]:
     """A task's line: what it is, how probable that is, and what is more probable."""
-    truth = repr(get_task(task).program)
+    truth = repr(program_of(task))
     weights = {repr(program): weight for program, weight in belief.explanations}
     first = repr(belief.explanations[0].program)
     return [

@@ -22,10 +22,10 @@ from magical.evaluation import read_entry
 from magical.grouping import group_by
 from magical.scene import Poses, Scene, State
 from magical.tasks.axes import full_variant
-from magical.tasks.programs import Goal
-from magical.tasks.programs.goals import ways_at_start
 from magical_goals.intent.acting import Intention
 from magical_goals.intent.posterior import Belief
+from magical_goals.language.goals import Goal, ways_at_start
+from magical_goals.language.programs import program_of
 from magical_goals.objects.hindsight import ROBOT_TARGET
 from magical_goals.program_bc import beliefs_of
 from tools.readme_tables import table
@@ -71,8 +71,7 @@ def decisions(
     belief: Belief, env_id: EnvId, rollouts: Iterable[int]
 ) -> Iterator[tuple[float, bool]]:
     """The belief's first decision in the scenes of evaluation's rollouts."""
-    env, program = gymnasium.make(env_spec(env_id)), env_id.task_spec.program
-    assert program
+    env, program = gymnasium.make(env_spec(env_id)), program_of(env_id.task)
     for rollout in rollouts:
         env.reset(seed=evaluation_seed(rollout))
         state: State = env.unwrapped.state()  # type: ignore[attr-defined]

@@ -20,11 +20,11 @@ from magical.evaluation.protocol import NUDGE
 from magical.scene import NOOP, Poses, State
 from magical.scene.constants import FRAME_SIZE
 from magical.scene.poses import ROBOT
-from magical.tasks import get_task
 from magical_baselines.policy import load_policy
 from magical_goals.intent.acting import Intention
 from magical_goals.intent.posterior import Belief, Explanation
 from magical_goals.intent.scenes import parsed_poses, parsed_scene
+from magical_goals.language.programs import program_of
 from magical_goals.objects.hindsight import ROBOT_TARGET, track
 from magical_goals.objects.parser import ParsedFrames
 from magical_goals.objects.perception import Perception
@@ -86,11 +86,8 @@ class OraclePolicy:
             task: policy.network.belief(k) for k, task in enumerate(self.tasks)
         }
         if "program" in truths:
-            programs = {task: get_task(task).program for task in self.tasks}
             self._beliefs = {
-                task: Belief([Explanation(program, 1.0)], 0.0, 1.0)
-                for task, program in programs.items()
-                if program is not None
+                task: Belief([Explanation(program_of(task), 1.0)], 0.0, 1.0) for task in self.tasks
             }
         self._episodes: list[_Episode | None] = []
 

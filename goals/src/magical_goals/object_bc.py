@@ -45,7 +45,7 @@ from magical_goals.objects.data import (
 from magical_goals.objects.goals import BORDER, CANDIDATES, REFITTED, GoalModel, goal_losses
 from magical_goals.objects.hindsight import ROBOT_TARGET
 from magical_goals.objects.parser import MAX_BLOCKS
-from magical_goals.objects.perception import PARSER, PERCEPTIONS, get_perception
+from magical_goals.objects.perception import PARSER, get_perception
 from magical_goals.objects.table import ObjectTable, to_table
 
 STANDS, STANDS_ANGLE = 0.01, 0.05  # units, rad: a robot that moved less over the stack stands still
@@ -69,7 +69,7 @@ class ObjectBCConfig(Config):
     algorithm: str = "object-bc"
     demonstrations: DemonstrationSettings
     perception: str = option(
-        PARSER, "what detects the objects in frames", choices=(PARSER,), others=PERCEPTIONS
+        PARSER, "what detects the objects in frames", choices=(PARSER,), others="module:NAME"
     )
     batches: int = option(6000, "training batches", POSITIVE)
     batch_size: int = option(256, "samples per batch of the controller", POSITIVE)

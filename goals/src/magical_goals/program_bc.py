@@ -28,7 +28,6 @@ from magical.evaluation.policy import Actions, Mask
 from magical.observe.pixels import STACK
 from magical.scene import NOOP
 from magical.scene.poses import ROBOT
-from magical.tasks.programs import parse
 from magical.untrusted import parse_json
 from magical_baselines.algorithms import Algorithm
 from magical_baselines.data.expert_data import load_demonstrations
@@ -38,6 +37,7 @@ from magical_baselines.running.streams import Purpose, seeded_init, stream
 from magical_goals.intent.acting import Intention
 from magical_goals.intent.posterior import Belief, Explanation, infer
 from magical_goals.intent.scenes import parsed_episode, parsed_poses, parsed_scene
+from magical_goals.language import parse
 from magical_goals.object_bc import (
     ObjectBCConfig,
     ObjectBCTrainer,

@@ -1,7 +1,7 @@
 """The Gymnasium environment."""
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, Literal, NoReturn, get_args
+from typing import Any, ClassVar, NoReturn
 
 import gymnasium as gym
 import numpy as np
@@ -9,7 +9,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from magical.envs.action_spec import ActionSpaceName, action_spec
-from magical.envs.episode import Episode, Reward, Scores, checked_paraphrase
+from magical.envs.episode import Episode, Reward, Scores
 from magical.envs.ids import EnvId
 from magical.envs.keys import KEYS_TO_ACTION
 from magical.envs.saved_state import parse_state, warn_of_departure
@@ -27,7 +27,6 @@ from magical.scene.poses import State
 from magical.tasks import Horizon, Task, get_task
 
 SCORE_KEYS = ("eval_score", "published_code_score")  # of `info`
-Instruction = Literal["attributes", "task"]
 
 
 class MagicalEnv(gym.Env[Any, Any]):
@@ -45,8 +44,8 @@ class MagicalEnv(gym.Env[Any, Any]):
     and `observe.StateSpec` for the others.
 
     ## Rewards
-    0, or with `reward="score"` the score at the last step, or with `reward="dense"` (tasks with a
-    `program`) the increase of `magical.tasks.programs.progress` since the last step.
+    0, or with `reward="score"` the score at the last step, or the increase of a potential, such as
+    `dense` of magical-goals, since the last step.
 
     ## Episode end
     Episodes are truncated at the horizon and never terminate.
@@ -54,8 +53,8 @@ class MagicalEnv(gym.Env[Any, Any]):
     ## Info
     `eval_score` and `published_code_score` at every step, as in the published environments: 0.0
     before the last step, then the final state's scores (`scores()` has the current state's).
-    `is_success`, whether the score is above 0.5 (`tasks.programs.SUCCESS`), False before the last
-    step. `instruction` at `reset`: what to do, in English (`Task.instruction`).
+    `is_success`, whether the score is above 0.5, False before the last step. `instruction` at
+    `reset`: what to do, in English (`Task.instruction`).
 
     Args:
         task: the task's name.
@@ -63,18 +62,15 @@ class MagicalEnv(gym.Env[Any, Any]):
         observation: see `observe.make_spec`.
         horizon: control steps in an episode; by default the task's; "published" takes the published
             code's, which differs for some tasks.
-        reward: "none", "score" or "dense".
+        reward: "none", "score", or the name of a potential (an entry point in `magical.rewards`).
         render_mode: "rgb_array" (both views side by side) or None; for a window see
             `gymnasium.wrappers.HumanRendering`.
-        instruction: "attributes" names blocks by colour and shape in `info["instruction"]`; "task"
-            only says what the task is about.
-        paraphrase: which of the instruction's wordings.
         action_space: "discrete" or "continuous".
 
     Raises:
-        UnknownNameError: there is no such task, variant, observation, reward, render mode,
-            instruction or action space.
-        InvalidConfigError, ObservationError: an invalid horizon, paraphrase or observation.
+        UnknownNameError: there is no such task, variant, observation, reward, render mode or
+            action space.
+        InvalidConfigError, ObservationError: an invalid horizon or observation.
     """
 
     # A class attribute, as Gymnasium reads it, although Gymnasium declares it on instances.
@@ -92,13 +88,9 @@ class MagicalEnv(gym.Env[Any, Any]):
         horizon: Horizon = None,
         reward: Reward = "none",
         render_mode: str | None = None,
-        instruction: Instruction = "attributes",
-        paraphrase: int = 0,
         action_space: ActionSpaceName = "discrete",
     ) -> None:
         self.task: Task = get_task(task)
-        self._named = names_attributes(instruction)
-        self._paraphrase = checked_paraphrase(paraphrase)
         self.task.axes_of(variant)  # raises for a variant that the task lacks
         self.observation_spec = make_spec(observation, self.task)
         self._episode = Episode(self.task, variant, self.observation_spec, horizon, reward)
@@ -146,9 +138,7 @@ class MagicalEnv(gym.Env[Any, Any]):
         self._running = False
         self._episode.start(self.np_random, options)
         self._running = True
-        words = self.task.instruction(
-            self._episode.simulation.scene, paraphrase=self._paraphrase, attributes=self._named
-        )
+        words = self.task.instruction(self._episode.simulation.scene)
         info = score_info(Scores()) | {"instruction": words}
         return copy_arrays(self._episode.observer.out), info
 
@@ -270,12 +260,3 @@ def score_info(scores: Scores) -> dict[str, Any]:
     """The entries that every `info` has."""
     values = dict(zip(SCORE_KEYS, (scores.score, scores.published_code), strict=True))
     return {**values, "is_success": scores.is_success}
-
-
-def names_attributes(instruction: str) -> bool:
-    """Whether instructions name blocks by their attributes; raises `UnknownNameError`."""
-    if instruction not in get_args(Instruction):
-        raise UnknownNameError(
-            f"instruction {quoted(instruction)} is unknown; expected attributes or task"
-        )
-    return instruction == "attributes"

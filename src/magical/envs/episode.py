@@ -1,8 +1,8 @@
 """One episode in progress, for the single and the vector environment."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,15 +18,21 @@ from magical.errors import (
 from magical.messages import quoted
 from magical.observe import ObservationSpec
 from magical.physics import Simulation
+from magical.plugins import is_plugin, load_plugin, plugins
 from magical.scene.actions import AnyAction
 from magical.scene.constants import MAX_NUDGE
 from magical.scene.poses import Poses, State
 from magical.scene.scene import Dynamics, Scene
-from magical.tasks import Horizon, Task, importable_tasks, parse_horizon
-from magical.tasks.programs import SUCCESS, progress
+from magical.tasks import Horizon, Task, parse_horizon
+from magical.tasks.scoring import SUCCESS
 
 RESET_OPTIONS = ("scene", "dynamics", "nudge")
-Reward = Literal["none", "score", "dense"]
+
+# A reward is "none", "score", or the name of an entry point in this group: a function from the task
+# to a potential, whose increase is the reward. It raises `UnknownNameError` for a task without one.
+REWARDS = "magical.rewards"
+Reward = str
+Potential = Callable[[Scene, NDArray[np.float64]], float]  # of bodies (5 + blocks, 6)
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +44,7 @@ class Scores:
 
     @property
     def is_success(self) -> bool:
-        """Whether the score is above `programs.SUCCESS`."""
+        """Whether the score is above `SUCCESS`."""
         return self.score > SUCCESS
 
 
@@ -57,16 +63,15 @@ class Episode:
         reward: Reward = "none",
         out: Any = None,
     ) -> None:
-        check_reward(task, reward)
         self.task = task
         self._own = task.resolve_horizon(parse_horizon(horizon)), variant
         self.horizon, self.variant = self._own
-        self.reward = reward
+        self.reward, self.potential = reward, find_potential(reward, task)
         self.observer = spec.observer(out)
         self._frames = spec.frames
         self.actions: list[AnyAction] = []
         self.exact = True  # whether the actions led to the bodies; see `saved_state.Record`
-        self._progress = 0.0
+        self._last_potential = 0.0
         self.simulation: Simulation
         self.bodies: NDArray[np.float64]  # (5 + blocks, 6): poses and velocities
 
@@ -109,15 +114,15 @@ class Episode:
     def outcome(self, ended: bool) -> tuple[float, Scores]:
         """The last step's reward, and the scores (0.0 before the episode's end).
 
-        Call it once after each step: the dense reward is the change since the last call.
+        Call it once after each step: the reward of a potential is the change since the last call.
         """
         scores = self.scores() if ended else Scores()
         if self.reward == "score":
             return scores.score, scores
-        if self.reward == "none":
+        if self.potential is None:
             return 0.0, scores
-        before, self._progress = self._progress, self._measure_progress()
-        return self._progress - before, scores
+        before, self._last_potential = self._last_potential, self._measure_potential()
+        return self._last_potential - before, scores
 
     @property
     def poses(self) -> Poses:
@@ -199,26 +204,22 @@ class Episode:
         self.observer.start(scene, first)  # raises for a scene that it cannot show
         for bodies in later:
             self.observer.update(bodies)
-        self._progress = self._measure_progress()
+        self._last_potential = self._measure_potential()
         return departure
 
-    def _measure_progress(self) -> float:
-        if self.reward != "dense" or self.task.program is None:
-            return 0.0
-        return progress(self.task.program, self.simulation.scene, self.poses)
+    def _measure_potential(self) -> float:
+        return self.potential(self.simulation.scene, self.bodies) if self.potential else 0.0
 
 
-def check_reward(task: Task, reward: str) -> None:
-    """Raise `UnknownNameError` for a reward that the task does not have."""
-    if reward not in get_args(Reward):
-        raise UnknownNameError(
-            f"reward {quoted(reward)} is unknown; expected one of: {', '.join(get_args(Reward))}"
-        )
-    if reward == "dense" and task.program is None:
-        having = [other.name for other in importable_tasks() if other.program is not None]
-        raise UnknownNameError(
-            f"{task.name} has no dense reward; expected one of: {', '.join(having)}"
-        )
+def find_potential(reward: Reward, task: Task) -> Potential | None:
+    """The potential of a reward, None for "none" and "score"; raises `UnknownNameError`."""
+    if reward in ("none", "score"):
+        return None
+    if not isinstance(reward, str) or not is_plugin(REWARDS, reward):
+        names = ", ".join(("none", "score", *plugins(REWARDS)))
+        raise UnknownNameError(f"reward {quoted(reward)} is unknown; expected one of: {names}")
+    potential: Potential = load_plugin(REWARDS, reward)(task)
+    return potential
 
 
 def checked_nudge(nudge: Any) -> float:
@@ -234,13 +235,6 @@ def checked_nudge(nudge: Any) -> float:
             f"nudge: expected a number from 0 to {MAX_NUDGE}, found {quoted(nudge)}"
         )
     return float(nudge)
-
-
-def checked_paraphrase(paraphrase: Any) -> int:
-    """The index of an instruction's wording; raises `InvalidConfigError`."""
-    if not isinstance(paraphrase, int | np.integer) or isinstance(paraphrase, bool):
-        raise InvalidConfigError(f"paraphrase: expected an integer, found {quoted(paraphrase)}")
-    return int(paraphrase)
 
 
 def _checked_score(task: Task, name: str, value: Any) -> float:

@@ -17,7 +17,6 @@ Variants: all.
 
 from magical.scene import COLOURS, Block, Colour, Pose, Scene, Shape
 from magical.tasks import clustering
-from magical.tasks.programs import Attribute
 
 DEMO = Scene(
     robot=Pose(0.71692, -0.34374, 0.83693),
@@ -33,4 +32,4 @@ DEMO = Scene(
     ),
 )
 
-TASK = clustering.make_task(Attribute.COLOUR, DEMO, COLOURS)
+TASK = clustering.make_task("colour", DEMO, COLOURS)

@@ -17,7 +17,6 @@ Variants: all.
 
 from magical.scene import SHAPES, Block, Colour, Pose, Scene, Shape
 from magical.tasks import clustering
-from magical.tasks.programs import Attribute
 
 DEMO = Scene(
     robot=Pose(0.286, -0.202, -1.878),
@@ -33,4 +32,4 @@ DEMO = Scene(
     ),
 )
 
-TASK = clustering.make_task(Attribute.SHAPE, DEMO, SHAPES)
+TASK = clustering.make_task("shape", DEMO, SHAPES)

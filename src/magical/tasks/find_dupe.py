@@ -28,18 +28,6 @@ from magical.scene import Block, Colour, Pose, Poses, Region, Scene, Shape
 from magical.tasks.attributes import cycle_blocks, sample_attributes, sample_count
 from magical.tasks.axes import EVERYTHING, Axis
 from magical.tasks.placement import Placement
-from magical.tasks.programs import (
-    And,
-    Attribute,
-    Enclosed,
-    Every,
-    InRegion,
-    LikeEnclosed,
-    OneOf,
-    Only,
-    Outside,
-    Together,
-)
 from magical.tasks.scoring import blocks_inside
 from magical.tasks.task import Task
 
@@ -58,11 +46,6 @@ DEMO = Scene(
         Block(Shape.PENTAGON, Colour.YELLOW, Pose(-0.33, -0.49, -0.51)),
     ),
     regions=(Region(Colour.YELLOW, x=-0.72, y=-0.22, height=0.67, width=0.72),),
-)
-
-PROGRAM = Together(
-    OneOf(And(Outside(), LikeEnclosed(Attribute.KIND)), InRegion()),
-    Together(Every(Enclosed(), InRegion()), Only(LikeEnclosed(Attribute.KIND))),
 )
 
 
@@ -99,6 +82,16 @@ def alike(scene: Scene) -> set[int]:
     return {i for i, block in enumerate(scene.blocks) if (block.shape, block.colour) == wanted}
 
 
+def instruction(scene: Scene) -> str:
+    """What to do, in English."""
+    kind, region = f"{scene.blocks[-1].colour} {scene.blocks[-1].shape}", scene.regions[0].colour
+    duplicate = f"the {kind} that is outside" if len(alike(scene)) == 2 else f"one {kind}"
+    return (
+        f"Push {duplicate} into the {region} region. Keep the {kind} that is inside where it is. "
+        f"Keep all other blocks out of the {region} region."
+    )
+
+
 def validate(scene: Scene) -> str:
     """The reason why the scene does not fit the task, or an empty string."""
     if len(scene.regions) != 1 or not scene.blocks:
@@ -124,8 +117,8 @@ TASK = Task(
     axes=EVERYTHING,
     randomise_fn=randomise,
     placement=Placement(encloses=True, margin=MARGIN),
-    program=PROGRAM,
     score_fn=score,
+    instruction_fn=instruction,
     published_score_fn=published_score,
     max_blocks=OTHERS[1] + 2,
     max_regions=1,

@@ -23,7 +23,6 @@ import numpy as np
 from magical.scene import Block, Colour, Pose, Poses, Scene, Shape
 from magical.tasks.attributes import cycle_blocks, sample_attributes, sample_count
 from magical.tasks.axes import EVERYTHING, Axis
-from magical.tasks.programs import AllBlocks, Lined
 from magical.tasks.scoring import longest_line, positions
 from magical.tasks.task import Task
 
@@ -40,8 +39,6 @@ DEMO = Scene(
     ),
 )
 
-PROGRAM = Lined(AllBlocks())
-
 
 def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
     """Sample the number of blocks, and each block's colour and shape."""
@@ -51,10 +48,21 @@ def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
     return replace(scene, blocks=sample_attributes(blocks, axes, rng))
 
 
+def score(scene: Scene, poses: Poses) -> float:
+    """1 if all blocks are in line, 0.5 if all but one are, else 0 (appendix A.2.4)."""
+    missing = len(scene.blocks) - longest_line(positions(scene, poses))
+    return {0: 1.0, 1: 0.5}.get(missing, 0.0)
+
+
 def published_score(scene: Scene, poses: Poses) -> float:
-    """As `PROGRAM`'s, but two blocks of three score 0 (docs/specification.md, section 9)."""
+    """As `score`, but two blocks of three score 0 (docs/specification.md, section 9)."""
     shortest = min(PUBLISHED_SHORTEST, len(scene.blocks))
-    return PROGRAM.score(scene, poses) if longest_line(positions(scene, poses)) >= shortest else 0.0
+    return score(scene, poses) if longest_line(positions(scene, poses)) >= shortest else 0.0
+
+
+def instruction(scene: Scene) -> str:
+    """What to do, in English."""
+    return "Arrange all blocks in a line."
 
 
 def validate(scene: Scene) -> str:
@@ -70,8 +78,8 @@ TASK = Task(
     demo=DEMO,
     axes=EVERYTHING,
     randomise_fn=randomise,
-    program=PROGRAM,
-    score_fn=PROGRAM.score,
+    score_fn=score,
+    instruction_fn=instruction,
     published_score_fn=published_score,
     max_blocks=BLOCKS[1],
     max_regions=0,

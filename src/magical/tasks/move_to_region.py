@@ -15,10 +15,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from magical.scene import COLOURS, Colour, Pose, Region, Scene
+from magical.scene import COLOURS, Colour, Pose, Poses, Region, Scene
 from magical.tasks.attributes import sample_item
 from magical.tasks.axes import Axis
-from magical.tasks.programs import RobotInside
 from magical.tasks.task import Task
 
 DEMO = Scene(
@@ -26,14 +25,22 @@ DEMO = Scene(
     regions=(Region(Colour.BLUE, x=-0.62, y=-0.17, height=0.76, width=0.75),),
 )
 
-PROGRAM = RobotInside()
-
 
 def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
     """Sample the region's colour."""
     if Axis.COLOUR not in axes:
         return scene
     return replace(scene, regions=(replace(scene.regions[0], colour=sample_item(COLOURS, rng)),))
+
+
+def score(scene: Scene, poses: Poses) -> float:
+    """1 if the robot's centre is inside the region, else 0 (appendix A.2.2)."""
+    return float(scene.regions[0].contains(*poses.robot[:2]))
+
+
+def instruction(scene: Scene) -> str:
+    """What to do, in English."""
+    return f"Drive into the {scene.regions[0].colour} region."
 
 
 def validate(scene: Scene) -> str:
@@ -49,8 +56,8 @@ TASK = Task(
     demo=DEMO,
     axes=Axis.JITTER | Axis.LAYOUT | Axis.COLOUR | Axis.DYNAMICS,
     randomise_fn=randomise,
-    program=PROGRAM,
-    score_fn=PROGRAM.score,
+    score_fn=score,
+    instruction_fn=instruction,
     max_blocks=0,
     max_regions=1,
     validate_fn=validate,

@@ -4,15 +4,23 @@ import importlib
 import pkgutil
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
 from difflib import get_close_matches
 from functools import partial
 from types import ModuleType
 from typing import Any, TypeVar
 
 from magical.errors import InvalidTaskError, PluginError, UnknownNameError
-from magical.plugins import import_user_module, load_plugin, plugins
+from magical.plugins import (
+    families,
+    family_of,
+    import_user_module,
+    is_offered,
+    load_family,
+    load_plugin,
+    plugins,
+)
 from magical.tasks.axes import VARIANTS
-from magical.tasks.programs.generated import generated_task, is_generated
 from magical.tasks.task import Task
 
 Item = TypeVar("Item")
@@ -24,10 +32,27 @@ _tasks: dict[str, Task] = {}
 _imported_from: dict[str, str] = {}  # the module by whose import a task was registered
 
 
+@dataclass(frozen=True, slots=True)
+class TaskFamily:
+    """Tasks that are made by their names, too many to list; an entry point named by a pattern.
+
+    Attributes:
+        make_fn: the task of a name that the pattern matches.
+        suites: tasks to report together, by the suite's name.
+    """
+
+    make_fn: Callable[[str], Task]
+    suites: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+
+    def __call__(self, name: str) -> Task:
+        """The task of this name."""
+        return self.make_fn(name)
+
+
 class _Tasks(Mapping[str, Task]):
     """Tasks by name: ours in the order of the appendix, then the others.
 
-    Generated tasks can be looked up, but iteration leaves them out, since there are too many.
+    Tasks of families can be looked up, but iteration leaves them out, since there are too many.
     Iteration imports no module of another distribution; looking up one of its tasks does.
     """
 
@@ -38,20 +63,29 @@ class _Tasks(Mapping[str, Task]):
         return len({*_tasks, *plugins(GROUP)})
 
     def __contains__(self, name: object) -> bool:
-        return name in _tasks or name in plugins(GROUP) or is_generated(str(name))
+        return name in _tasks or is_offered(GROUP, str(name))
 
     def __getitem__(self, name: str) -> Task:
-        if is_generated(name):
-            return generated_task(name)
-        if name not in _tasks and name in plugins(GROUP):
-            task = _loaded(name)
-            if task.name != name:
-                raise PluginError(f"{GROUP}: expected the task {name!r}, found {task.name!r}")
+        if name in _tasks or name not in self:
+            return _tasks[name]
+        task = _loaded(name)
+        if task.name != name:
+            raise PluginError(f"{GROUP}: expected the task {name!r}, found {task.name!r}")
+        if name in plugins(GROUP):
             _tasks[name] = task
-        return _tasks[name]
+        return task
 
 
 TASKS: Mapping[str, Task] = _Tasks()
+
+
+def suites() -> dict[str, tuple[str, ...]]:
+    """The suites of the installed families of tasks: names of tasks, by the suite's name."""
+    found: dict[str, tuple[str, ...]] = {}
+    for pattern in families(GROUP):
+        if isinstance(family := load_family(GROUP, pattern), TaskFamily):
+            found.update(family.suites)
+    return found
 
 
 def register_task(task: Task) -> Task:
@@ -60,7 +94,7 @@ def register_task(task: Task) -> Task:
     Raises:
         InvalidTaskError: another task already has this name.
     """
-    if is_generated(task.name) or _tasks.get(task.name, task) is not task:
+    if family_of(GROUP, task.name) or _tasks.get(task.name, task) is not task:
         raise InvalidTaskError(
             f"expected a new task name, found {task.name!r}, which is registered already; "
             "choose another"
@@ -73,11 +107,11 @@ def unregister_task(name: str) -> Task:
     """Remove a task from `TASKS` and return it.
 
     Raises:
-        UnknownNameError: there is no such task, or it is a generated one.
+        UnknownNameError: there is no such task, or it is of a family.
     """
     task = get_task(name)
     if _tasks.pop(task.name, None) is None:
-        raise UnknownNameError(f"{task.name} is a generated task, which cannot be removed")
+        raise UnknownNameError(f"{task.name} is of a family of tasks, and cannot be removed")
     _imported_from.pop(task.name, None)
     return task
 

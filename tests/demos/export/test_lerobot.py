@@ -66,15 +66,6 @@ def test_lerobot_export_is_readable(
     assert {row["data/file_index"] for row in episodes} == {0, 1}
 
 
-def test_lerobot_tasks_without_colours_and_shapes(mixed: Path, tmp_path: Path) -> None:
-    dataset, command = Dataset.open(mixed), ["demos", "export", str(mixed), "--to", "lerobot"]
-    main([*command, "--instruction", "task", "--out", str(tmp_path / "lerobot")])
-    tasks = pq.read_table(tmp_path / "lerobot" / "meta" / "tasks.parquet").to_pylist()
-    plain = {one.task.instruction(one.scene, attributes=False) for one in dataset}
-    assert {row["task"] for row in tasks} == plain
-    assert plain.isdisjoint(one.task.instruction(one.scene) for one in dataset)
-
-
 def test_lerobot_actions_are_those_to_imitate(labelled: Dataset, tmp_path: Path) -> None:
     export_lerobot(labelled, tmp_path / "out")
     first, second = (trajectory.actions.tolist() for trajectory in labelled)

@@ -2,13 +2,10 @@
 
 from pathlib import Path
 
-import gymnasium
 import numpy as np
 import pytest
 
-from magical.demos import Dataset, DatasetWriter, RecordTrajectories, observations
-from magical.demos.generate import demonstrate
-from magical.envs import parse_env_id
+from magical.demos import Dataset, RecordTrajectories, observations
 from magical.envs.env import MagicalEnv
 from magical.errors import DatasetError, UnknownNameError
 from magical.observe import PRESETS
@@ -103,14 +100,6 @@ def test_failed_minari_export_leaves_none_of_its_datasets(mixed: Path, tmp_path:
     with pytest.raises(DatasetError, match="a dataset of that name exists"):
         export_minari(dataset, root=root)
     assert sorted(root.rglob("*")) == before
-
-
-def test_generated_tasks_are_exported(tmp_path: Path) -> None:
-    env_id = parse_env_id("magical/Generated0003-Demo-v0")
-    assert not any("Generated0003" in name for name in gymnasium.registry)
-    DatasetWriter(tmp_path / "d").append(demonstrate(env_id, seed=0))
-    (name,) = export_minari(Dataset.open(tmp_path / "d"), root=tmp_path / "minari")
-    assert name.startswith("magical/Generated0003-Demo")
 
 
 def test_the_environment_has_the_horizon_of_the_episodes(

@@ -136,7 +136,7 @@ def test_calls_at_the_wrong_time_are_refused() -> None:
 
 
 def test_gymnasiums_wrappers_and_specs_work() -> None:
-    options: dict[str, Any] = {"observation": "state", "horizon": 3, "paraphrase": 1}
+    options: dict[str, Any] = {"observation": "state", "horizon": 3}
     made: Any = gymnasium.make_vec("magical/MoveToCorner-Demo-v0", 2, workers=0, **options)
     again: Any = gymnasium.make_vec(made.spec)
     assert (again.num_envs, again.workers, again.env_ids) == (2, 0, made.env_ids)
@@ -147,5 +147,5 @@ def test_gymnasiums_wrappers_and_specs_work() -> None:
     assert infos["episode"]["l"].tolist() == [3, 3]
     listed = gymnasium.wrappers.vector.DictInfoToList(again)
     start: dict[str, Any] = {"eval_score": 0.0, "published_code_score": 0.0, "is_success": False}
-    start["instruction"] = "Move the red square to the top left corner."
+    start["instruction"] = "Push the red square to the top left corner."
     assert listed.reset(seed=0)[1] == [start] * 2

@@ -1,4 +1,4 @@
-"""Perception: finding the objects in frames, with the parser or a plugin's function."""
+"""Perception: finding the objects in frames, with the parser or another function."""
 
 from functools import partial
 from typing import Protocol
@@ -6,13 +6,12 @@ from typing import Protocol
 import numpy as np
 
 from magical.errors import PluginError
-from magical.plugins import load_plugin
+from magical.plugins import load_reference
 from magical.scene.constants import FRAME_SIZE
 from magical_goals.objects.components import Pixels
 from magical_goals.objects.parser import ABSENT, ParsedFrames, parse_frames
 
 PARSER = "parser"
-PERCEPTIONS = "magical.perceptions"  # the entry-point group
 
 
 class Perception(Protocol):
@@ -26,14 +25,14 @@ class Perception(Protocol):
 
 
 def get_perception(name: str) -> Perception:
-    """The parser, or the function that an entry point or `module:NAME` refers to.
+    """The parser, or the function that `module:NAME` refers to.
 
     Raises:
         PluginError: it cannot be imported, is not callable, fails, or returns something else.
     """
     if name == PARSER:
         return parse_frames
-    perception: Perception = load_plugin(PERCEPTIONS, name)
+    perception: Perception = load_reference(name)
     if not callable(perception):
         raise PluginError(
             f"perception {name!r}: expected a function of frames, found {type(perception).__name__}"

@@ -126,12 +126,6 @@ def _export(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--preset", help="minari: observation preset (default: LoRes4E)")
     _action_space(parser, "type of the exported actions (default: the dataset's)")
     parser.add_argument(
-        "--instruction",
-        choices=("attributes", "task"),
-        help="lerobot: an instruction that names colours and shapes, or the task's (default: "
-        "attributes)",
-    )
-    parser.add_argument(
         "--skip-damaged", action="store_true", help="leave damaged trajectories out"
     )
 

@@ -181,11 +181,9 @@ def run_export(args: argparse.Namespace) -> int:
     """`magical demos export`."""
     from magical.demos import Dataset
 
-    own = ("name", "preset") if args.to == "minari" else ("instruction",)
-    options = ("name", "preset", "instruction")
-    given = {name: v for name in options if (v := getattr(args, name)) is not None}
-    if other := [f"--{name}" for name in given if name not in own]:
-        raise UsageError(f"{' '.join(other)}: not for --to {args.to}")
+    given = {name: v for name in ("name", "preset") if (v := getattr(args, name)) is not None}
+    if given and args.to != "minari":
+        raise UsageError(f"{' '.join(f'--{name}' for name in given)}: not for --to {args.to}")
     dataset = Dataset.open(args.dataset, skip_damaged=args.skip_damaged)
     _log_problems(dataset.problems)
     result: dict[str, Any] = {"to": args.to}
@@ -201,7 +199,7 @@ def run_export(args: argparse.Namespace) -> int:
 
         if args.out is None:
             raise UsageError("--out: expected a new folder for the LeRobot dataset, found none")
-        frames = export_lerobot(dataset, args.out, args.action_space, **given)
+        frames = export_lerobot(dataset, args.out, args.action_space)
         result |= {"out": str(args.out), "frames": frames}
         print(f"wrote {args.out}: {len(dataset)} episodes, {result['frames']} frames")
     print_json(args, {**result, "episodes": len(dataset)})

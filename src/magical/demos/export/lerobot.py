@@ -23,7 +23,6 @@ from magical.demos.store.dataset import Dataset
 from magical.demos.store.reader import Frames
 from magical.demos.store.trajectory import VIEWS, Trajectory
 from magical.envs.action_spec import Actions, ActionSpaceName
-from magical.envs.env import Instruction, names_attributes
 from magical.errors import DatasetError
 from magical.scene.actions import PARTS
 from magical.scene.constants import CONTROL_RATE, FRAME_SIZE
@@ -65,7 +64,6 @@ def export_lerobot(
     dataset: Dataset,
     folder: Path | str,
     action_space: ActionSpaceName | None = None,
-    instruction: Instruction = "attributes",
 ) -> int:
     """Write the dataset into a new folder; returns the number of frames, one for each action.
 
@@ -80,8 +78,6 @@ def export_lerobot(
         dataset: the trajectories.
         folder: the folder to create.
         action_space: kind of the exported actions (default: continuous if any in the dataset are).
-        instruction: kind of instruction, as in `MagicalEnv`, that becomes each episode's task:
-            "attributes" or "task".
 
     Raises:
         TrajectoryError: discrete actions are requested, but some actions are not among the 18.
@@ -95,7 +91,7 @@ def export_lerobot(
     folder.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".part-") as temporary:
         root = Path(temporary) / folder.name
-        writer = _Writer(root, dataset, action_space, names_attributes(instruction))
+        writer = _Writer(root, dataset, action_space)
         with writer.files:
             for trajectory in dataset:
                 writer.add(trajectory)
@@ -107,10 +103,8 @@ def export_lerobot(
 class _Writer:
     """An export: its open files (a table, and a video for each camera) and its metadata."""
 
-    def __init__(
-        self, root: Path, dataset: Dataset, action_space: ActionSpaceName | None, attributes: bool
-    ) -> None:
-        self.root, self._attributes = root, attributes
+    def __init__(self, root: Path, dataset: Dataset, action_space: ActionSpaceName | None) -> None:
+        self.root = root
         self.total = 0
         self.files = ExitStack()
         self._has_states = all(entry.has_poses for entry in dataset.entries)
@@ -141,7 +135,7 @@ class _Writer:
         """Write one episode: the frame before each action, and the action."""
         trajectory = trajectory.with_action_space(self._action_space)
         steps = len(trajectory)
-        words = trajectory.task.instruction(trajectory.scene, attributes=self._attributes)
+        words = trajectory.task.instruction(trajectory.scene)
         columns = self._episode_columns(trajectory, self._tasks.setdefault(words, len(self._tasks)))
         table = pa.table({name: _arrow(column) for name, column in columns.items()})
         if self.total == 0 or self._frames_in_file >= FRAMES_PER_FILE:

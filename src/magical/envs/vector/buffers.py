@@ -17,7 +17,7 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import DTypeLike, NDArray
 
 from magical.envs.action_spec import Actions, ActionSpec
-from magical.envs.episode import Reward, check_reward
+from magical.envs.episode import Reward, find_potential
 from magical.envs.ids import EnvId
 from magical.observe import ObservationSpec
 from magical.observe.arrays import copy_arrays, gather
@@ -52,7 +52,7 @@ class VectorSpec:
         parse_horizon(self.horizon)
         for env_id in self.env_ids:
             env_id.task_spec.axes_of(env_id.variant)  # raises for a variant that the task lacks
-            check_reward(env_id.task_spec, self.reward)
+            find_potential(self.reward, env_id.task_spec)
 
     def tasks(self) -> list[Task]:
         """The sub-environments' tasks."""

@@ -13,8 +13,8 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from magical.envs.action_spec import ActionSpaceName, action_spec
-from magical.envs.env import SCORE_KEYS, Instruction, MagicalEnv, names_attributes, not_picklable
-from magical.envs.episode import Reward, checked_paraphrase
+from magical.envs.env import SCORE_KEYS, MagicalEnv, not_picklable
+from magical.envs.episode import Reward
 from magical.envs.ids import EnvId, parse_env_id
 from magical.envs.saved_state import parse_state, warn_of_departure
 from magical.envs.vector.buffers import Copies, SharedMemory, VectorBuffers, VectorSpec
@@ -43,7 +43,7 @@ from magical.processes import checked_workers
 from magical.scene.poses import Poses, State
 from magical.scene.scene import Scene
 from magical.tasks import Horizon
-from magical.tasks.programs import SUCCESS
+from magical.tasks.scoring import SUCCESS
 
 Bools = NDArray[np.bool_]
 Infos = dict[str, Any]
@@ -68,8 +68,6 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         observation: see `observe.make_spec`; takes precedence over the ids' preset.
         horizon: as for `MagicalEnv`.
         reward: as for `MagicalEnv`.
-        instruction: as for `MagicalEnv`.
-        paraphrase: as for `MagicalEnv`.
         action_space: as for `MagicalEnv`.
         autoreset_mode: what happens after an episode's last step, an `AutoresetMode` or its value.
             "NextStep": the next step ignores the action and starts another episode. "SameStep":
@@ -85,10 +83,10 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
             By default there is no limit. Not available on Windows or without workers.
 
     Raises:
-        UnknownNameError: an unknown id, observation, reward, instruction, action space, autoreset
-            mode or render mode.
+        UnknownNameError: an unknown id, observation, reward, action space, autoreset mode or render
+            mode.
         ValueError: no ids, or an invalid number of workers or timeout.
-        InvalidConfigError, ObservationError: an invalid horizon, paraphrase or observation.
+        InvalidConfigError, ObservationError: an invalid horizon or observation.
         MismatchedSpacesError: sub-environments whose observation spaces differ.
         InvalidTaskError: a task that workers cannot import.
     """
@@ -101,8 +99,6 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         observation: Observation = None,
         horizon: Horizon = None,
         reward: Reward = "none",
-        instruction: Instruction = "attributes",
-        paraphrase: int = 0,
         action_space: ActionSpaceName = "discrete",
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         copy: bool = True,
@@ -127,8 +123,6 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
             self.env_ids, common, horizon, reward, self.autoreset_mode, copy, self.action_spec
         )
         self._set_spaces(common.space)
-        self._named = names_attributes(instruction)
-        self._paraphrase = checked_paraphrase(paraphrase)
         self._running = np.zeros(self.num_envs, np.bool_)
         self._scenes: list[Scene | None] = [None] * self.num_envs
         self._lock = Lock()  # held by the call in progress
@@ -226,9 +220,7 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         words, mask = np.full(self.num_envs, None, dtype=object), np.zeros(self.num_envs, np.bool_)
         for row, scene in started:
             task, mask[row] = self.env_ids[row].task_spec, True
-            words[row] = task.instruction(
-                scene, paraphrase=self._paraphrase, attributes=self._named
-            )
+            words[row] = task.instruction(scene)
         return {"instruction": words, "_instruction": mask}
 
     def states(self) -> list[State]:

@@ -140,7 +140,7 @@ class _SubEnv:
         self.ended = False  # the next step starts another episode
         self._row = row
         self._buffers = buffers
-        self._always_rewarded = spec.reward == "dense"
+        self._always_rewarded = spec.reward not in ("none", "score")
         self._bodies = buffers.bodies[row]
 
     def step(self, action: AnyAction) -> bool:

@@ -30,11 +30,10 @@ from magical.errors import (
     WorkerDiedError,
     WorkerTimeoutError,
 )
-from magical.plugins import plugins
+from magical.plugins import is_offered
 from magical.processes import Child, serve
 from magical.scene.actions import NOOP
 from magical.tasks import Task, load_tasks
-from magical.tasks.programs.generated import is_generated
 from magical.tasks.registry import GROUP, registering_module
 
 _GRACE_PERIOD = 2.0  # seconds that workers have to exit on their own
@@ -187,8 +186,7 @@ def defining_modules(tasks: Sequence[Task]) -> list[str]:
     that no importable module holds.
     """
     own = [module for module in vars(magical.tasks).values() if isinstance(module, ModuleType)]
-    known = plugins(GROUP)
-    others = [task for task in tasks if not is_generated(task.name) and task.name not in known]
+    others = [task for task in tasks if not is_offered(GROUP, task.name)]
     foreign = [task for task in others if not any(_holds(module, task) for module in own)]
     return sorted({_defining_module(task) for task in foreign})
 
