@@ -19,13 +19,13 @@ from magical.cli import main
 from magical.commands._common import task_name
 from magical.envs import parse_env_id
 from magical.envs.vector import MagicalVectorEnv
-from magical.envs.vector.workers import defining_modules
 from magical.errors import MissingDependencyError, PluginError, UnknownNameError
 from magical.evaluation.loading import LOADERS, load_policy
 from magical.observe import make_spec
 from magical.plugins import Registry
 from magical.runs import versions
 from magical.tasks import TASKS, Task, get_task, load_task, unregister_task
+from magical.tasks.registry import defining_modules
 
 GROUP = "magical.things"
 THINGS = Registry("thing", Task, GROUP)

@@ -26,7 +26,7 @@ from magical_goals.intent.acting import Intention
 from magical_goals.intent.posterior import Belief
 from magical_goals.language.goals import Goal, ways_at_start
 from magical_goals.language.programs import program_of
-from magical_goals.objects.hindsight import ROBOT_TARGET
+from magical_goals.objects.control import ROBOT_TARGET
 from magical_goals.program_bc import beliefs_of
 from tools.readme_tables import table
 

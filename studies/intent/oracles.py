@@ -25,9 +25,9 @@ from magical_goals.intent.acting import Intention
 from magical_goals.intent.posterior import Belief, Explanation
 from magical_goals.intent.scenes import parsed_poses, parsed_scene
 from magical_goals.language.programs import program_of
-from magical_goals.objects.hindsight import ROBOT_TARGET, track
-from magical_goals.objects.parser import ParsedFrames
-from magical_goals.objects.perception import Perception
+from magical_goals.objects.control import ROBOT_TARGET
+from magical_goals.objects.data import track
+from magical_goals.objects.parser import ParsedFrames, Perception
 from magical_goals.planning.planner import Planner, Situation
 from magical_goals.program_bc import ProgramPolicy
 from studies.objects.object_truth import ExpertEpisode

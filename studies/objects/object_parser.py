@@ -26,7 +26,7 @@ from magical.scene.scene import Block
 from magical.scene.vocabulary import COLOURS, SHAPES
 from magical.tasks import get_task
 from magical_goals.objects import parser as p
-from magical_goals.objects.perception import Perception
+from magical_goals.objects.parser import Perception
 
 SEED = 40_000
 Floats = NDArray[np.float64]

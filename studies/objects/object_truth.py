@@ -35,10 +35,8 @@ from magical.scene.vocabulary import COLOURS, SHAPES
 from magical.tasks import get_task
 from magical_baselines.policy import TrainedPolicy, choose_actions, load_policy
 from magical_goals.object_bc import ObjectPolicy
-from magical_goals.objects.components import MAX_REGIONS
-from magical_goals.objects.hindsight import ROBOT_TARGET
-from magical_goals.objects.parser import FAR, MAX_BLOCKS, parse_frames
-from magical_goals.objects.table import ObjectTable, to_table, to_tensor
+from magical_goals.objects.control import ROBOT_TARGET, ObjectTable, to_table, to_tensor
+from magical_goals.objects.parser import FAR, MAX_BLOCKS, MAX_REGIONS, parse_frames
 
 PARTS = ("perception", "goals", "control")
 NOTHING = "nothing"

@@ -44,8 +44,7 @@ from magical_goals.object_bc import (
     ObjectPolicy,
     stacked_frames,
 )
-from magical_goals.objects.data import ParsedDemonstration, parse_demonstrations
-from magical_goals.objects.hindsight import track
+from magical_goals.objects.data import ParsedDemonstration, parse_demonstrations, track
 from magical_goals.objects.parser import ParsedFrames
 from magical_goals.planning.motion import Motion, fit_motion
 from magical_goals.planning.planner import Planner, Situation

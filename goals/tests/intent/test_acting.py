@@ -11,7 +11,7 @@ from magical_goals.intent.posterior import Belief, Explanation
 from magical_goals.language import parse
 from magical_goals.language.expressions import Mismatched
 from magical_goals.language.programs import program_of
-from magical_goals.objects.hindsight import ROBOT_TARGET
+from magical_goals.objects.control import ROBOT_TARGET
 
 FIX, MATCH = TASKS["FixColour"].demo, TASKS["MatchRegions"].demo
 OUT = "Every(Mismatched(), OutOfRegions())"

@@ -11,7 +11,6 @@ import numpy as np
 from magical.envs import EnvId
 from magical.envs.seeds import evaluation_seed
 from magical.envs.vector import MagicalVectorEnv
-from magical.envs.vector.workers import defining_modules
 from magical.errors import InvalidActionError, PolicyError
 from magical.evaluation.loading import PolicySource, load_policy
 from magical.evaluation.policy import Mask, Policy, action_spec_of, given_to, observation_for
@@ -21,6 +20,7 @@ from magical.evaluation.seeds import RolloutRng
 from magical.observe import Observation
 from magical.processes import checked_workers, map_in_processes
 from magical.tasks import Horizon, get_task, with_tasks
+from magical.tasks.registry import defining_modules
 
 NUM_ENVS = 64  # sub-environments stepped together: bounds the memory, hardly changes the speed
 SHARE = 10  # rollouts of one environment that a process computes at a time

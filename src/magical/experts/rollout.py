@@ -6,7 +6,6 @@ import numpy as np
 from gymnasium.utils.seeding import np_random
 from numpy.typing import NDArray
 
-from magical.envs.vector.workers import defining_modules
 from magical.errors import InvalidTaskError
 from magical.experts.expert import Expert, expert_for, strategy_seed
 from magical.experts.goals import get_planner
@@ -15,6 +14,7 @@ from magical.experts.noise import perturbation
 from magical.physics import Simulation
 from magical.scene import NOOP, Dynamics, Poses, Scene, State
 from magical.tasks import get_task
+from magical.tasks.registry import defining_modules
 
 
 @dataclass(frozen=True, slots=True)

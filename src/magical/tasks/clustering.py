@@ -1,12 +1,4 @@
-"""ClusterColour and ClusterShape, except for their Demo scenes (appendix A.2.7).
-
-A block of attribute value a is correctly clustered when its squared distance to the centroid of
-the blocks of value a is less than a third of that to the nearest other value's centroid. With f
-the fraction of such blocks, the score is 0 up to f = 0.5 and rises linearly to 1 at f = 1.
-
-The published code requires sqrt(own) < sqrt(nearest other) - 2 own, where own and nearest other are
-squared distances, and its score rises from f = 0.75 (docs/specification.md, section 9).
-"""
+"""ClusterColour and ClusterShape, except for their Demo scenes (appendix A.2.7)."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -80,6 +72,11 @@ def make_task(attribute: Attribute, demo: Scene, values: Sequence[str]) -> Task:
     return Task(
         name=f"Cluster{attribute.capitalize()}",
         summary=f"Push the blocks into clusters of the same {attribute}.",
+        rule=f"""A block is correctly clustered when its squared distance to the centroid of its own
+{attribute} is less than a third of that to the nearest centroid of another {attribute}. The score
+rises linearly from 0 to 1 as the fraction of such blocks rises from 0.5 to 1. The published code
+requires sqrt(own) < sqrt(nearest other) - 2 own, where own and nearest other are the squared
+distances, and its score rises from 0.75.""",
         section="A.2.7",
         horizon=HORIZON,
         published_horizon=PUBLISHED_HORIZON,

@@ -1,23 +1,6 @@
 """FindDupe: push a duplicate of the query block into the goal region (appendix A.2.5).
 
 The query block starts inside the region. The order of blocks is outside blocks, duplicate, query.
-With q the query block, T the other blocks of its shape and colour, D the distractors and R the
-blocks that end inside the region, the score is
-
-    [q in R]  x  [T & R not empty]  x  (1 - |D & R| / |R|).
-
-In the published code, any two blocks like the query suffice, and q need not stay
-(docs/specification.md, section 9).
-
-Horizon: 100 control steps.
-
-Variants: all.
-
-- Jitter, Layout: poses of robot and blocks, the region's position and size; the query block stays
-  within the region.
-- Colour, Shape: the query's and every outside block's, uniform; the duplicate has the query's.
-- CountPlus: 1 to 5 outside blocks in addition to the duplicate, with Layout, Colour and Shape.
-- Dynamics: forces only. All: CountPlus and Dynamics.
 """
 
 from dataclasses import replace
@@ -111,6 +94,12 @@ def validate(scene: Scene) -> str:
 TASK = Task(
     name="FindDupe",
     summary="Push a duplicate of the query block, which is in the goal region, into that region.",
+    rule="""With q the query block, T the other blocks of its shape and colour, D the distractors
+and R the blocks that end inside the region, the score is
+
+    [q in R]  x  [T & R not empty]  x  (1 - |D & R| / |R|).
+
+In the published code, any two blocks like the query suffice, and q need not stay.""",
     section="A.2.5",
     horizon=100,
     demo=DEMO,

@@ -1,21 +1,7 @@
 """FixColour: push the mismatched block out of its goal region (appendix A.2.6).
 
 Each goal region starts with one block inside, block i in region i. Exactly one block, the
-mismatched one, differs in colour from its region. The score is 1 if the mismatched block ends
-outside its region while every other region contains exactly the block that it started with,
-otherwise 0.
-
-Horizon: 60 control steps.
-
-Variants: all.
-
-- Jitter, Layout: poses of the robot and of the blocks within their regions, the regions' positions
-  and sizes.
-- Colour: the regions' colours, uniform; one block, chosen uniformly, has one of the three other
-  colours.
-- Shape: every block's, uniform.
-- CountPlus: 2 or 3 pairs of a block and a region, with Layout, Colour and Shape.
-- Dynamics: forces only. All: CountPlus and Dynamics.
+mismatched one, differs in colour from its region.
 """
 
 from dataclasses import replace
@@ -115,6 +101,8 @@ def validate(scene: Scene) -> str:
 TASK = Task(
     name="FixColour",
     summary="Push the block that differs in colour from its goal region out of the region.",
+    rule="""The score is 1 if the mismatched block ends outside its region while every other region
+contains exactly the block that it started with, otherwise 0.""",
     section="A.2.6",
     horizon=60,
     demo=DEMO,

@@ -1,20 +1,4 @@
-"""MakeLine: arrange all blocks in a line of any position and direction (appendix A.2.4).
-
-For a pair of blocks, the inliers are the blocks at most d_i = 0.18 units from the geometric line
-through the pair. Sorted along that line, they are split into subsets wherever neighbours are more
-than d_c = 0.42 units apart. With n blocks and m the size of the largest subset over all pairs, the
-score is 1 if m = n, 0.5 if m = n - 1, otherwise 0. Colours and shapes are ignored. In the published
-code, two of three blocks in a line score 0 (docs/specification.md, section 9).
-
-Horizon: 180 control steps.
-
-Variants: all.
-
-- Jitter, Layout: poses of robot and blocks.
-- Colour, Shape: every block's, uniform.
-- CountPlus: 3 or 4 blocks, with Layout, Colour and Shape.
-- Dynamics: forces only. All: CountPlus and Dynamics.
-"""
+"""MakeLine: arrange all blocks in a line of any position and direction (appendix A.2.4)."""
 
 from dataclasses import replace
 
@@ -73,6 +57,11 @@ def validate(scene: Scene) -> str:
 TASK = Task(
     name="MakeLine",
     summary="Arrange all blocks in a line.",
+    rule="""For a pair of blocks, the inliers are the blocks at most 0.18 units from the geometric
+line through the pair. Sorted along it, they are split into subsets wherever neighbours are more
+than 0.42 units apart. With n blocks and m the size of the largest subset over all pairs, the score
+is 1 if m = n, 0.5 if m = n - 1, otherwise 0. Colours and shapes are ignored. In the published code,
+two of three blocks in a line score 0.""",
     section="A.2.4",
     horizon=180,
     demo=DEMO,

@@ -1,21 +1,4 @@
-"""MatchRegions: move all and only blocks of the goal region's colour into it (appendix A.2.3).
-
-With T the target blocks (of the region's colour), D the distractors (of other colours) and R the
-blocks that end inside the region, the score is
-
-    |T & R| / |T|  x  (1 - |D & R| / |R|)      (0 if R is empty).
-
-Horizon: 120 control steps.
-
-Variants: all.
-
-- Jitter, Layout: poses of robot and blocks, the region's position and size.
-- Colour: the target colour, uniform; the distractors have the three others in order.
-- Shape: every block's, uniform.
-- CountPlus: 1 or 2 targets, 0 to 2 distractors of each other colour, always one region, with
-  Layout, Colour and Shape.
-- Dynamics: forces only. All: CountPlus and Dynamics.
-"""
+"""MatchRegions: move all and only blocks of the goal region's colour into it (appendix A.2.3)."""
 
 import math
 from dataclasses import replace
@@ -109,6 +92,10 @@ def validate(scene: Scene) -> str:
 TASK = Task(
     name="MatchRegions",
     summary="Gather all blocks of the goal region's colour, and only those, in the region.",
+    rule="""With T the target blocks (of the region's colour), D the distractors (of other colours)
+and R the blocks that end inside the region, the score is
+
+    |T & R| / |T|  x  (1 - |D & R| / |R|)      (0 if R is empty).""",
     section="A.2.3",
     horizon=120,
     demo=DEMO,

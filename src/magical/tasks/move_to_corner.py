@@ -1,15 +1,6 @@
 """MoveToCorner: push the block from the bottom right to the top left corner (appendix A.2.1).
 
-The score is 1 if the block's centre ends within sqrt(2)/2 units of the top left corner of the
-workspace, 0 beyond sqrt(2) units, and linear in the distance between.
-
-Horizon: 80 control steps.
-
-Variants: all but Layout and CountPlus, which would leave open which corner or which block is meant.
-
-- Jitter: poses of robot and block.
-- Colour, Shape: the block's, uniform.
-- Dynamics: forces only. All: Jitter, Colour, Shape and Dynamics.
+Without Layout and CountPlus, which would leave open which corner or which block is meant.
 """
 
 import math
@@ -59,6 +50,8 @@ def validate(scene: Scene) -> str:
 TASK = Task(
     name="MoveToCorner",
     summary="Push the block from the bottom right corner to the top left corner.",
+    rule="""The score is 1 if the block's centre ends within sqrt(2)/2 units of the top left corner
+of the workspace, 0 beyond sqrt(2) units, and linear in the distance between.""",
     section="A.2.1",
     horizon=80,
     demo=DEMO,

@@ -1,15 +1,4 @@
-"""MoveToRegion: drive the robot into the goal region (appendix A.2.2).
-
-The score is 1 if the centre of the robot's body ends inside the goal region, otherwise 0.
-
-Horizon: 40 control steps.
-
-Variants: all but Shape and CountPlus, as there are no blocks.
-
-- Jitter, Layout: the robot's pose, the region's position and size.
-- Colour: the region's, uniform.
-- Dynamics: forces only. All: Layout, Colour and Dynamics.
-"""
+"""MoveToRegion: drive the robot into the goal region (appendix A.2.2). There are no blocks."""
 
 from dataclasses import replace
 
@@ -51,6 +40,7 @@ def validate(scene: Scene) -> str:
 TASK = Task(
     name="MoveToRegion",
     summary="Drive the robot into the goal region.",
+    rule="The score is 1 if the centre of the robot's body ends inside the goal region, else 0.",
     section="A.2.2",
     horizon=40,
     demo=DEMO,

@@ -2,12 +2,12 @@
 
 import importlib
 import pkgutil
+import sys
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from functools import partial
-from types import ModuleType
 from typing import Any, TypeVar
 
 from magical.errors import InvalidTaskError, PluginError, UnknownNameError
@@ -29,6 +29,7 @@ Result = TypeVar("Result")
 GROUP = "magical.tasks"  # of entry points, each named like its task
 
 _tasks: dict[str, Task] = {}
+_own: set[str] = set()  # the names of this package's
 _imported_from: dict[str, str] = {}  # the module by whose import a task was registered
 
 
@@ -52,8 +53,7 @@ class TaskFamily:
 class _Tasks(Mapping[str, Task]):
     """Tasks by name: ours in the order of the appendix, then the others.
 
-    Tasks of families can be looked up, but iteration leaves them out, since there are too many.
-    Iteration imports no module of another distribution; looking up one of its tasks does.
+    Iteration leaves out families, whose tasks are too many, and imports no other distribution.
     """
 
     def __iter__(self) -> Iterator[str]:
@@ -89,11 +89,7 @@ def suites() -> dict[str, tuple[str, ...]]:
 
 
 def register_task(task: Task) -> Task:
-    """Add a task to `TASKS` and return it.
-
-    Raises:
-        InvalidTaskError: another task already has this name.
-    """
+    """Add a task to `TASKS` and return it; raises `InvalidTaskError` for a name that is taken."""
     if family_of(GROUP, task.name) or _tasks.get(task.name, task) is not task:
         raise InvalidTaskError(
             f"expected a new task name, found {task.name!r}, which is registered already; "
@@ -104,11 +100,7 @@ def register_task(task: Task) -> Task:
 
 
 def unregister_task(name: str) -> Task:
-    """Remove a task from `TASKS` and return it.
-
-    Raises:
-        UnknownNameError: there is no such task, or it is of a family.
-    """
+    """Remove a task from `TASKS` and return it; raises `UnknownNameError`, for a family's too."""
     task = get_task(name)
     if _tasks.pop(task.name, None) is None:
         raise UnknownNameError(f"{task.name} is of a family of tasks, and cannot be removed")
@@ -119,9 +111,7 @@ def unregister_task(name: str) -> Task:
 def get_task(name: str) -> Task:
     """The task with exactly this name.
 
-    Raises:
-        UnknownNameError: no task of this name is registered; the message lists the names.
-        PluginError: a task of another distribution cannot be imported, or is something else.
+    Raises `UnknownNameError` if there is none, `PluginError` if it cannot be imported.
     """
     if name in TASKS:
         return TASKS[name]
@@ -134,10 +124,7 @@ def get_task(name: str) -> Task:
 
 
 def importable_tasks() -> list[Task]:
-    """All tasks of `TASKS`, but those of other distributions that cannot be imported.
-
-    A warning says which are left out.
-    """
+    """All tasks of `TASKS`; a warning says which of other distributions cannot be imported."""
     tasks = []
     for name in TASKS:
         try:
@@ -151,55 +138,56 @@ def load_task(name: str) -> Task:
     """The task with a given name, or the one at `module:NAME`, which is imported and registered.
 
     Only for names that users give, never for those in entries, run folders and datasets, which may
-    come from anywhere.
-
-    Raises:
-        UnknownNameError: no task of this name is registered.
-        PluginError: the task cannot be found, or is something else.
-        InvalidTaskError: another task already has the name of the imported one.
+    come from anywhere. Raises `UnknownNameError`, `PluginError` or `InvalidTaskError`.
     """
     return register_task(_loaded(name)) if ":" in name else get_task(name)
 
 
 def possible_variants(name: str) -> tuple[str, ...]:
-    """The variants that a task has, or may have if it is not imported yet.
-
-    Raises:
-        UnknownNameError: there is no such task.
-    """
+    """The variants that a task has, or may have if it is not imported yet."""
     if name not in TASKS:
         get_task(name)  # raises
     return _tasks[name].variants if name in _tasks else tuple(VARIANTS)
 
 
 def load_tasks(modules: Iterable[str]) -> None:
-    """Import a user's modules in a new process and register the tasks that they hold."""
-    for module in modules:
-        register_tasks_of(import_user_module(module))
-
-
-def register_tasks_of(module: ModuleType) -> None:
-    """Register the tasks that a module holds, except those with names that are known already."""
-    for task in vars(module).values():
-        if isinstance(task, Task) and task.name not in TASKS:
-            register_task(task)
+    """Import a user's modules and register the tasks that they hold, but for known names."""
+    for name in modules:
+        for task in vars(import_user_module(name)).values():
+            if isinstance(task, Task) and task.name not in TASKS:
+                register_task(task)
 
 
 def import_tasks(name: str) -> None:
-    """Import a user's module, by its name or file, and register the tasks that it holds or makes.
-
-    Raises:
-        PluginError: it cannot be imported.
-    """
+    """As `load_tasks`, for a module whose import may register tasks; raises `PluginError`."""
     known = set(_tasks)
-    module = import_user_module(name)
-    register_tasks_of(module)
-    _imported_from.update(dict.fromkeys(set(_tasks) - known, module.__name__))
+    load_tasks([name])
+    module = import_user_module(name).__name__
+    _imported_from.update(dict.fromkeys(set(_tasks) - known, module))
 
 
-def registering_module(task: str) -> str | None:
-    """The module that registered a task when the user imported it, if there is one."""
-    return _imported_from.get(task)
+def defining_modules(tasks: Iterable[Task]) -> list[str]:
+    """The modules that a new process must import to have tasks from outside the package.
+
+    The process finds tasks of entry points on its own. Raises `InvalidTaskError` for any other task
+    that no importable module holds.
+    """
+    others = [task for task in tasks if task.name not in _own and not is_offered(GROUP, task.name)]
+    return sorted(set(map(_defining_module, others)))
+
+
+def _defining_module(task: Task) -> str:
+    for name, module in list(sys.modules.items()):
+        held = list(getattr(module, "__dict__", {}).values())
+        if name not in ("__main__", "__mp_main__") and any(value is task for value in held):
+            return name
+    if task.name in _imported_from:
+        return _imported_from[task.name]
+    raise InvalidTaskError(
+        f"task {task.name}: other processes import tasks by themselves, and no importable module "
+        "holds this one (the main script is never imported); give it a name in a module, or use "
+        "workers=1"
+    )
 
 
 def with_tasks(work: Callable[[Item], Result], modules: Iterable[str]) -> Callable[[Item], Result]:
@@ -214,10 +202,10 @@ def _with_tasks(work: Callable[[Item], Result], modules: Iterable[str], item: It
 
 def discover(package: str, path: Iterable[str]) -> None:
     """Register the `TASK` of every module in a package, in the order of the appendix's sections."""
-    names = [f"{package}.{module.name}" for module in pkgutil.iter_modules(path)]
-    modules = [importlib.import_module(name) for name in names]
+    modules = (importlib.import_module(f"{package}.{m.name}") for m in pkgutil.iter_modules(path))
     tasks = [module.TASK for module in modules if hasattr(module, "TASK")]
     for task in sorted(tasks, key=lambda task: (not task.section, task.section, task.name)):
+        _own.add(task.name)
         _tasks[task.name] = task  # without importing another distribution's task of this name
 
 

@@ -37,6 +37,7 @@ class Task:
 
     name: str  # as in environment ids, for instance MoveToCorner
     summary: str  # one line: what the robot must do
+    rule: str = ""  # how final states are scored, in English; formulas are indented
     section: str = ""  # of the appendix; tasks are listed in its order, those without one last
     horizon: int  # control steps (appendix A.2)
     published_horizon: int | None = None  # the published code's, if different

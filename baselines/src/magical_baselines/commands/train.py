@@ -87,9 +87,9 @@ def run(args: argparse.Namespace) -> int:
 
 def _imports(config: "Config") -> str:
     """`--import` for each module that the configuration names, which new processes need."""
-    from magical.envs.vector.workers import defining_modules
     from magical.errors import InvalidTaskError
     from magical.tasks import get_task
+    from magical.tasks.registry import defining_modules
     from magical_baselines.algorithms import modules_of
 
     modules = dict.fromkeys(modules_of(config))

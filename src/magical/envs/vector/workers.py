@@ -9,32 +9,27 @@ import os
 import pickle
 import select
 import subprocess
-import sys
 import time
 import weakref
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from types import ModuleType
 from typing import IO, Any, NoReturn
 
 import numpy as np
 
-import magical.tasks
 from magical.envs.episode import Episode
 from magical.envs.saved_state import SavedState
 from magical.envs.vector.buffers import SharedMemory, VectorBuffers, VectorSpec, open_memory
 from magical.envs.vector.sub_envs import Restored, Seeds, Started, SubEnvs
 from magical.errors import (
-    InvalidTaskError,
     ObservationError,
     WorkerDiedError,
     WorkerTimeoutError,
 )
-from magical.plugins import is_offered
 from magical.processes import Child, serve
 from magical.scene.actions import NOOP
-from magical.tasks import Task, load_tasks
-from magical.tasks.registry import GROUP, registering_module
+from magical.tasks import load_tasks
+from magical.tasks.registry import defining_modules
 
 _GRACE_PERIOD = 2.0  # seconds that workers have to exit on their own
 _STEP = pickle.dumps(("step", ()))
@@ -177,35 +172,6 @@ def split(count: int, workers: int) -> Iterator[range]:
     """Rows of `count` sub-environments for each of the workers, divided evenly."""
     for i in range(workers):
         yield range(count * i // workers, count * (i + 1) // workers)
-
-
-def defining_modules(tasks: Sequence[Task]) -> list[str]:
-    """The modules that a new process must import to have tasks from outside the package.
-
-    The process finds tasks of entry points on its own. Raises `InvalidTaskError` for any other task
-    that no importable module holds.
-    """
-    own = [module for module in vars(magical.tasks).values() if isinstance(module, ModuleType)]
-    others = [task for task in tasks if not is_offered(GROUP, task.name)]
-    foreign = [task for task in others if not any(_holds(module, task) for module in own)]
-    return sorted({_defining_module(task) for task in foreign})
-
-
-def _defining_module(task: Task) -> str:
-    for name, module in list(sys.modules.items()):
-        if name not in ("__main__", "__mp_main__") and _holds(module, task):
-            return name
-    if (registering := registering_module(task.name)) is not None:
-        return registering
-    raise InvalidTaskError(
-        f"task {task.name}: workers import tasks by themselves, and no importable module holds "
-        "this one (the main script is never imported); give it a name in a module, or use "
-        "workers=0 (for experts, workers=1)"
-    )
-
-
-def _holds(module: ModuleType, task: Task) -> bool:
-    return any(value is task for value in list(getattr(module, "__dict__", {}).values()))
 
 
 def _end(workers: "list[_Worker]", owner: int) -> None:
