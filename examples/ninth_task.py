@@ -15,7 +15,7 @@ import magical
 from magical.evaluation import environments, evaluate, load_policy, summarise
 from magical.scene import Block, Colour, Pose, Poses, Scene, Shape
 from magical.tasks import Axis, Task
-from magical.tasks.attributes import sample_attributes
+from magical.tasks.attributes import name_blocks, sample_attributes
 from magical.tasks.scoring import positions
 
 APART = 1.0  # units
@@ -41,6 +41,11 @@ def score(scene: Scene, poses: Poses) -> float:
     return min(max((now - start) / (APART - start), 0.0), 1.0)
 
 
+def instruction(scene: Scene) -> str:
+    """What to do, in English."""
+    return f"Push {name_blocks(scene.blocks)} apart."
+
+
 TASK = Task(
     name="Separate",
     summary="Push the two blocks apart.",
@@ -49,6 +54,7 @@ TASK = Task(
     axes=Axis.JITTER | Axis.COLOUR | Axis.SHAPE | Axis.DYNAMICS,
     randomise_fn=randomise,
     score_fn=score,
+    instruction_fn=instruction,
     max_blocks=2,
     max_regions=0,
 )

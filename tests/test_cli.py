@@ -266,7 +266,7 @@ def test_show_writes_both_views(tmp_path: Path, capsys: pytest.CaptureFixture[st
 
 def test_show_knows_every_generated_task(tmp_path: Path) -> None:
     out = tmp_path / "scene.png"
-    assert cli.main(["show", "magical/Generated7003-Demo-v0", "--out", str(out)]) == 0
+    assert cli.main(["show", "magical/FindDupe-TestAll-v0", "--out", str(out)]) == 0
     assert out.exists()
 
 

@@ -23,7 +23,8 @@ from magical.report.leaderboard.checks import check_entries
 from magical.report.leaderboard.ranking import ALL_TASKS, Standing, make_boards
 from magical.runs.sources import DEMONSTRATIONS, INTERACTION, learning_class
 from magical.tasks import TASKS, get_task
-from magical.tasks.programs.suite import SUITE, task_name
+from magical_goals.language.generated import SUITE, task_name
+from magical_goals.language.programs import program_of
 
 ROOT = Path(__file__).resolve().parents[1]
 WRAP = TextWrapper(84, initial_indent="    ", subsequent_indent="      ")
@@ -168,7 +169,7 @@ def programs() -> str:
     tasks += [get_task(task_name(number)) for number in SUITE[:3]]
     lines = ["```text"]
     for task in tasks:
-        words = f"{task.program!r}", task.instruction(task.demo)
+        words = repr(program_of(task.name)), task.instruction(task.demo)
         lines += [task.name, *map(WRAP.fill, words)]
     return "\n".join([*lines, "```"])
 

@@ -24,11 +24,9 @@ from magical.tasks import get_task, register_task, unregister_task
 from magical_baselines import load_policy, train
 from magical_goals import object_bc
 from magical_goals.object_bc import ObjectBCConfig, make_policy
-from magical_goals.objects.control import control_inputs
+from magical_goals.objects.control import ROBOT_TARGET, ObjectTable, control_inputs, to_table
 from magical_goals.objects.data import ObjectData
-from magical_goals.objects.hindsight import ROBOT_TARGET
 from magical_goals.objects.parser import parse_frames
-from magical_goals.objects.table import ObjectTable, to_table
 
 TASKS = ("MoveToRegion", "FixColour")
 

@@ -17,9 +17,9 @@ from magical.evaluation import evaluate
 from magical.evaluation.seeds import RolloutRng
 from magical.scene import NOOP
 from magical.tasks import get_task
-from magical.tasks.programs import parse
 from magical_baselines import load_policy, train
 from magical_goals.intent.posterior import Belief, Explanation
+from magical_goals.language import parse
 from magical_goals.objects.data import parse_demonstrations
 from magical_goals.objects.parser import parse_frames
 from magical_goals.planning.planner import Planner, Situation

@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from magical.demos.replay import replay
 from websockets.exceptions import InvalidStatus
 
 from magical.demos import Dataset, DatasetWriter
-from magical.demos.replay import replay
 from magical.errors import DatasetError
 from magical_play import policies
 from magical_play.messages import MAX_BYTES

@@ -7,14 +7,18 @@ A distribution offers one through an entry point, for instance
 
 and anything that can be imported can be named as `module:NAME` or `file.py:NAME`, on the command
 line and in calls. Names that are read from files go through `require_imported` first.
+
+An entry whose name is a pattern, such as `"Generated[0-9]*"`, is a family: a function from a name
+that the pattern matches to an object.
 """
 
 import importlib
 import importlib.util
 import shlex
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from functools import cache
 from operator import attrgetter
 from pathlib import Path
@@ -73,14 +77,30 @@ class Registry(Generic[T]):
         return thing
 
 
-@cache
 def plugins(group: str) -> "Mapping[str, list[EntryPoint]]":
     """What other distributions offer in a group of entry points, by name; none is imported."""
+    return _entries(group)[False]
+
+
+def families(group: str) -> "Mapping[str, list[EntryPoint]]":
+    """As `plugins`, for families, by pattern."""
+    return _entries(group)[True]
+
+
+@cache
+def _entries(group: str) -> "Mapping[bool, Mapping[str, list[EntryPoint]]]":
+    """Families (True) and others (False), by name."""
     if not _any_offered():
-        return {}
+        return {False: {}, True: {}}
     from importlib.metadata import entry_points  # takes tens of milliseconds and is seldom needed
 
-    return group_by(entry_points(group=group), attrgetter("name"))
+    found = group_by(entry_points(group=group), lambda entry: any(c in "*?[" for c in entry.name))
+    return {kind: group_by(found.get(kind, ()), attrgetter("name")) for kind in (False, True)}
+
+
+def family_of(group: str, name: str) -> str | None:
+    """The pattern of the family that has a name, if there is one."""
+    return next((pattern for pattern in families(group) if fnmatchcase(name, pattern)), None)
 
 
 @cache
@@ -104,13 +124,18 @@ def _any_offered() -> bool:
     return any(b"[magical." in file.read_bytes() for file in files)
 
 
+def is_offered(group: str, name: str) -> bool:
+    """Whether a name is that of an entry point, or in a family."""
+    return name in plugins(group) or family_of(group, name) is not None
+
+
 def is_plugin(group: str, name: str) -> bool:
-    """Whether a name is that of an entry point, or of the form `module:NAME`."""
-    return ":" in name or name in plugins(group)
+    """As `is_offered`, or of the form `module:NAME`."""
+    return ":" in name or is_offered(group, name)
 
 
 def load_plugin(group: str, name: str) -> Any:
-    """Import what an entry point or `module:NAME` refers to.
+    """Import what an entry point or `module:NAME` refers to, or the object that a family has.
 
     Raises:
         PluginError: it cannot be imported, or two distributions offer different objects under this
@@ -118,7 +143,18 @@ def load_plugin(group: str, name: str) -> Any:
     """
     if ":" in name:
         return load_reference(name)
-    entry, *others = plugins(group)[name]
+    if name not in plugins(group) and (pattern := family_of(group, name)) is not None:
+        return load_family(group, pattern)(name)
+    return _loaded(group, name, plugins(group)[name])
+
+
+def load_family(group: str, pattern: str) -> Any:
+    """Import the function of a family; raises `PluginError` as `load_plugin` does."""
+    return _loaded(group, pattern, families(group)[pattern])
+
+
+def _loaded(group: str, name: str, entries: "Sequence[EntryPoint]") -> Any:
+    entry, *others = entries
     values = sorted({each.value for each in (entry, *others)})
     if len(values) > 1:
         raise PluginError(

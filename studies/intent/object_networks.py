@@ -17,8 +17,8 @@ from torch.nn import functional
 from magical.observe.pixels import CHANNELS
 from magical.runs.sources import PARSER_SOURCES
 from magical.scene import Colour, Shape
+from magical_goals.objects.control import ObjectTable, to_table
 from magical_goals.objects.parser import parse_frames
-from magical_goals.objects.table import ObjectTable, to_table
 
 COLOURS, SHAPES = len(Colour), len(Shape)
 KINDS = 3  # robot, block, region

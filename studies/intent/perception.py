@@ -28,8 +28,15 @@ from magical.render import Renderer
 from magical.scene import COLOURS, SHAPES, Block, Pose, Poses, Region, Scene, View
 from magical.scene.constants import BLOCK_SIZE, FINGER_OPEN, FRAME_SIZE, SIDES, WORKSPACE_HALF
 from magical.scene.poses import EYES, FINGERS
-from magical_goals.objects.components import MAX_REGIONS, VIEW_HALF, Pixels
-from magical_goals.objects.parser import ABSENT, FAR, MAX_BLOCKS, ParsedFrames
+from magical_goals.objects.parser import (
+    ABSENT,
+    FAR,
+    MAX_BLOCKS,
+    MAX_REGIONS,
+    VIEW_HALF,
+    ParsedFrames,
+    Pixels,
+)
 
 WEIGHTS = Path(__file__).with_name("perception.pt")
 STRIDE = 4  # pixels of a cell
@@ -91,7 +98,7 @@ class FindObjects:
         self._detector: Detector | None = None
 
     def __call__(self, frames: Pixels, robot_alone: bool = False) -> ParsedFrames:
-        """See `magical_goals.objects.perception`."""
+        """See `magical_goals.objects.parser`."""
         if self._detector is None:
             detector = Detector().eval()
             state = torch.load(self._weights, weights_only=True)

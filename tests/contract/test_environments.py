@@ -16,7 +16,7 @@ from magical.envs.env import MagicalEnv
 from magical.observe import PRESETS
 from magical.scene import to_continuous
 from magical.tasks import TASKS
-from magical.tasks.programs import SUCCESS
+from magical.tasks.scoring import SUCCESS
 
 ENV_IDS = magical.all_env_ids()
 ALL_IDS = magical.all_env_ids(presets=True)

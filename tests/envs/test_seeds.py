@@ -25,10 +25,6 @@ FIRST_STARTS = {
     "FixColour": "4efd475e0e6f",
     "ClusterColour": "9f809f32356d",
     "ClusterShape": "12e3357004c8",
-    "Generated0001": "4215ef02866a",
-    "Generated0002": "30ef537122f6",
-    "Generated0005": "8c142e036218",
-    "Generated0009": "1e78126cfd29",
 }
 
 

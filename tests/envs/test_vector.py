@@ -46,6 +46,8 @@ def vector(
 
 HORIZON = 7
 
+TO_CENTRE = "tests.envs.potentials:TO_CENTRE"
+
 
 def single(env_id: str, observation: Any = "state", **options: Any) -> MagicalEnv:
     parsed = parse_env_id(env_id)
@@ -275,8 +277,8 @@ def test_spaces_contain_what_is_given() -> None:
 
 
 def test_rewards() -> None:
-    envs = vector(["magical/MoveToRegion-Demo-v0"] * 2, horizon=3, reward="dense")
-    env = single("magical/MoveToRegion-Demo-v0", horizon=3, reward="dense")
+    envs = vector(["magical/MoveToRegion-Demo-v0"] * 2, horizon=3, reward=TO_CENTRE)
+    env = single("magical/MoveToRegion-Demo-v0", horizon=3, reward=TO_CENTRE)
     envs.reset(seed=0)
     env.reset(seed=0)
     for _ in range(3):

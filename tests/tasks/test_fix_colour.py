@@ -8,8 +8,7 @@ import pytest
 
 from magical.errors import InvalidSceneError
 from magical.scene import Colour, Pose
-from magical.tasks.fix_colour import DEMO, TASK
-from magical.tasks.programs import Mismatched
+from magical.tasks.fix_colour import DEMO, TASK, mismatched
 from tests.tasks.conftest import Move
 
 MISMATCH = 2
@@ -43,7 +42,7 @@ def test_only_the_mismatch_leaves_and_everything_else_stays(
 def test_exactly_one_block_is_mismatched(variant: str) -> None:
     rng = np.random.default_rng(0)
     for _ in range(50):
-        assert len(Mismatched().blocks(TASK.sample(variant, rng)[0])) == 1
+        assert len(mismatched(TASK.sample(variant, rng)[0])) == 1
 
 
 def test_the_mismatch_is_uniform_over_blocks_and_other_colours() -> None:
@@ -51,7 +50,7 @@ def test_the_mismatch_is_uniform_over_blocks_and_other_colours() -> None:
     counts: Counter[tuple[int, Colour, Colour]] = Counter()
     for _ in range(3600):
         scene, _ = TASK.sample("TestColour", rng)
-        (odd,) = Mismatched().blocks(scene)
+        (odd,) = mismatched(scene)
         counts[odd, scene.regions[odd].colour, scene.blocks[odd].colour] += 1
     assert len(counts) == 3 * 4 * 3  # 100 of each expected
     assert 60 < min(counts.values())

@@ -10,7 +10,7 @@ from magical.envs.env import MagicalEnv
 from magical.experts import rollout
 from magical.scene import Block, Colour, Pose, Region, Scene, Shape
 from magical.tasks import CHANGES, TASKS, Axis, Task, get_task
-from tools.site.descriptions import describe_changes, describe_scene, describe_task
+from tools.site.descriptions import describe_changes, describe_scene, scoring_rule
 from tools.site.previews import SIZE, make_previews
 
 
@@ -32,18 +32,12 @@ def test_the_images_do_not_depend_on_the_number_of_processes() -> None:
 
 
 @pytest.mark.parametrize("task", TASKS.values(), ids=lambda task: task.name)
-def test_every_tasks_docstring_describes_it(task: Task) -> None:
-    description = describe_task(task)
-    words = " ".join(paragraph.text for paragraph in description.scoring_rule)
-    assert len(words) > 60
-    assert "Horizon" not in words
-    assert "`" not in words
-    named = " ".join(description.variation).lower()
-    assert all(str(axis.name).lower() in named for axis in CHANGES if axis in task.axes)
+def test_every_task_has_a_scoring_rule(task: Task) -> None:
+    assert len(" ".join(paragraph.text for paragraph in scoring_rule(task))) > 60
 
 
 def test_formulas_are_indented() -> None:
-    formulas = [p.text for p in describe_task(get_task("FindDupe")).scoring_rule if p.is_formula]
+    formulas = [p.text for p in scoring_rule(get_task("FindDupe")) if p.is_formula]
     assert formulas == ["[q in R] x [T & R not empty] x (1 - |D & R| / |R|)."]
 
 

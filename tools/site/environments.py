@@ -16,7 +16,7 @@ from magical.scene.constants import CONTROL_RATE
 from magical.tasks import TASKS, VARIANTS, Task
 from magical.tasks.axes import short_variant
 from tools.readme_tables import table
-from tools.site.descriptions import Paragraph, describe_changes, describe_task
+from tools.site.descriptions import Paragraph, describe_changes, scoring_rule
 from tools.site.previews import SIZE, EnvPreview, make_previews
 
 FOLDER = "environments"
@@ -125,12 +125,10 @@ def _marks(task: Task) -> Iterator[str]:
 
 def task_page(task: Task, rows: Sequence[Row]) -> str:
     """A task's page: what to do, the score rule, what each variant changes, scores."""
-    description = describe_task(task)
     varies = table(
         ("Variant", "Changes"),
         ((f"[{name}]({name}.md)", describe_changes(task, name)) for name in task.variants),
     )
-    here = "\n".join(f"- {name}: {text}" for name, text in description.variation.items())
     scores = table(
         ("", *map(short_variant, task.variants)), (row.cells(task.variants) for row in rows)
     )
@@ -139,9 +137,9 @@ def task_page(task: Task, rows: Sequence[Row]) -> str:
         f"{picture('Demo', f'The expert in {task.name} Demo')}\n"
         f"{picture('TestAll', f'The expert in {task.name} TestAll')}\n\n"
         "The scripted expert in Demo and in TestAll, at twice the control rate.\n\n"
-        f"## Score\n\n{prose(description.scoring_rule)}\n\n"
+        f"## Score\n\n{prose(scoring_rule(task))}\n\n"
         f"**Horizon**: {_horizon(task)}\n\n"
-        f"## Variants\n\n{varies}\n\nIn this task:\n\n{here}\n\n"
+        f"## Variants\n\n{varies}\n\n"
         f"## Scores\n\n{scores}\n\n{NOTE}\n"
     )
 
@@ -169,7 +167,7 @@ def environment_page(task: Task, variant: str, rows: Sequence[Row], kept: str) -
         f"**What varies**: {changes}\n\n"
         f"**Horizon**: {_horizon(task)}\n\n"
         f"**Score** ([the task](index.md) and its other variants):\n\n"
-        f"{prose(describe_task(task).scoring_rule)}\n\n"
+        f"{prose(scoring_rule(task))}\n\n"
         f"## Scores\n\n{scores}\n\n{NOTE}\n"
     )
 

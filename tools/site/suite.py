@@ -8,7 +8,8 @@ from magical.render import render_frame
 from magical.report.figures.clips import encoded
 from magical.scene import Poses, View
 from magical.tasks import Task, get_task
-from magical.tasks.programs.suite import HELD_OUT, TRAINING, task_name
+from magical_goals.language.generated import HELD_OUT, TRAINING
+from magical_goals.language.programs import program_of
 from tools.readme_tables import table
 
 FOLDER = "suite"
@@ -20,15 +21,14 @@ HEADER = ("Demo", "Task", "Instruction and program", "Expert, Demo", "Expert, Te
 def pages(root: Path) -> dict[str, str | bytes]:
     """The page and the pictures, by path in the site."""
     with (root / EXPERT).open() as file:
-        scores = {int(row["number"]): row for row in csv.DictReader(file)}
+        scores = {f"Generated{row['number']:0>4}": row for row in csv.DictReader(file)}
     made: dict[str, str | bytes] = {f"{FOLDER}/index.md": page(scores)}
-    for number in (*HELD_OUT, *TRAINING):
-        name = task_name(number)
+    for name in (*HELD_OUT, *TRAINING):
         made[f"{FOLDER}/{name}.webp"] = picture(get_task(name))
     return made
 
 
-def page(scores: Mapping[int, Mapping[str, str]]) -> str:
+def page(scores: Mapping[str, Mapping[str, str]]) -> str:
     """The page: the held-out tasks, then the training tasks."""
     return (
         "# The suite of generated tasks\n\nDemo scenes with instructions and [programs]"
@@ -40,15 +40,15 @@ def page(scores: Mapping[int, Mapping[str, str]]) -> str:
     )
 
 
-def _table(numbers: Sequence[int], scores: Mapping[int, Mapping[str, str]]) -> str:
-    return table(HEADER, (list(_cells(number, scores[number])) for number in numbers))
+def _table(names: Sequence[str], scores: Mapping[str, Mapping[str, str]]) -> str:
+    return table(HEADER, (list(_cells(name, scores[name])) for name in names))
 
 
-def _cells(number: int, scores: Mapping[str, str]) -> Iterator[str]:
-    task = get_task(task_name(number))
+def _cells(name: str, scores: Mapping[str, str]) -> Iterator[str]:
+    task = get_task(name)
     yield f"![The Demo scene of {task.name}]({task.name}.webp)"
     yield task.name
-    yield f"{task.instruction(task.demo)}<br>`{task.program!r}`"
+    yield f"{task.instruction(task.demo)}<br>`{program_of(name)!r}`"
     for variant in ("Demo", "All"):
         yield f"{float(scores[variant]):.2f}"
 

@@ -34,8 +34,13 @@ from magical_baselines.running.optimizers import load_optimizer, optimizer_state
 from magical_baselines.running.run import Run
 from magical_baselines.running.streams import Purpose, seeded_init, stream
 from magical_baselines.settings import FRACTION, NOT_NEGATIVE, POSITIVE, option
-from magical_goals.objects.components import MAX_REGIONS, Pixels
-from magical_goals.objects.control import Controller, control_inputs
+from magical_goals.objects.control import (
+    ROBOT_TARGET,
+    Controller,
+    ObjectTable,
+    control_inputs,
+    to_table,
+)
 from magical_goals.objects.data import (
     OBSERVATION,
     ObjectData,
@@ -43,10 +48,7 @@ from magical_goals.objects.data import (
     parse_demonstrations,
 )
 from magical_goals.objects.goals import BORDER, CANDIDATES, REFITTED, GoalModel, goal_losses
-from magical_goals.objects.hindsight import ROBOT_TARGET
-from magical_goals.objects.parser import MAX_BLOCKS
-from magical_goals.objects.perception import PARSER, PERCEPTIONS, get_perception
-from magical_goals.objects.table import ObjectTable, to_table
+from magical_goals.objects.parser import MAX_BLOCKS, MAX_REGIONS, PARSER, Pixels, get_perception
 
 STANDS, STANDS_ANGLE = 0.01, 0.05  # units, rad: a robot that moved less over the stack stands still
 WEIGHT_DECAY = 1e-2  # of the controller
@@ -69,7 +71,7 @@ class ObjectBCConfig(Config):
     algorithm: str = "object-bc"
     demonstrations: DemonstrationSettings
     perception: str = option(
-        PARSER, "what detects the objects in frames", choices=(PARSER,), others=PERCEPTIONS
+        PARSER, "what detects the objects in frames", choices=(PARSER,), others="module:NAME"
     )
     batches: int = option(6000, "training batches", POSITIVE)
     batch_size: int = option(256, "samples per batch of the controller", POSITIVE)

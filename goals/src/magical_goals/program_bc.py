@@ -28,7 +28,6 @@ from magical.evaluation.policy import Actions, Mask
 from magical.observe.pixels import STACK
 from magical.scene import NOOP
 from magical.scene.poses import ROBOT
-from magical.tasks.programs import parse
 from magical.untrusted import parse_json
 from magical_baselines.algorithms import Algorithm
 from magical_baselines.data.expert_data import load_demonstrations
@@ -38,14 +37,14 @@ from magical_baselines.running.streams import Purpose, seeded_init, stream
 from magical_goals.intent.acting import Intention
 from magical_goals.intent.posterior import Belief, Explanation, infer
 from magical_goals.intent.scenes import parsed_episode, parsed_poses, parsed_scene
+from magical_goals.language import parse
 from magical_goals.object_bc import (
     ObjectBCConfig,
     ObjectBCTrainer,
     ObjectPolicy,
     stacked_frames,
 )
-from magical_goals.objects.data import ParsedDemonstration, parse_demonstrations
-from magical_goals.objects.hindsight import track
+from magical_goals.objects.data import ParsedDemonstration, parse_demonstrations, track
 from magical_goals.objects.parser import ParsedFrames
 from magical_goals.planning.motion import Motion, fit_motion
 from magical_goals.planning.planner import Planner, Situation

@@ -6,11 +6,12 @@ import pytest
 from magical.scene import Block, Colour, Pose, Poses, Region, Scene, Shape
 from magical.scene.poses import FIRST_BLOCK
 from magical.tasks import TASKS
-from magical.tasks.programs import parse
-from magical.tasks.programs.selections import Mismatched
 from magical_goals.intent.acting import Intention
 from magical_goals.intent.posterior import Belief, Explanation
-from magical_goals.objects.hindsight import ROBOT_TARGET
+from magical_goals.language import parse
+from magical_goals.language.expressions import Mismatched
+from magical_goals.language.programs import program_of
+from magical_goals.objects.control import ROBOT_TARGET
 
 FIX, MATCH = TASKS["FixColour"].demo, TASKS["MatchRegions"].demo
 OUT = "Every(Mismatched(), OutOfRegions())"
@@ -37,7 +38,7 @@ def carry_out(intention: Intention, scene: Scene, moves: int) -> Poses:
     ("task", "moves"), [("FixColour", 1), ("MatchRegions", 2), ("MoveToRegion", 1), ("MakeLine", 2)]
 )
 def test_the_papers_programs_are_carried_out_in_the_fewest_moves(task: str, moves: int) -> None:
-    program, scene = TASKS[task].program, TASKS[task].demo
+    program, scene = program_of(task), TASKS[task].demo
     assert program is not None
     intention = Intention(belief((repr(program), 1.0)), scene)
     assert program.score(scene, carry_out(intention, scene, moves)) == 1.0

@@ -11,15 +11,14 @@ from magical.demos.generate import demonstrate
 from magical.scene import Poses, Scene
 from magical.scene.poses import FIRST_BLOCK
 from magical.tasks import TASKS
-from magical.tasks.programs import Goal, Together, parse
-from magical.tasks.programs.goals import ways_at_start
-from magical.tasks.programs.prior import bits
-from magical.tasks.programs.states import States
 from magical_goals.intent import demonstrator
 from magical_goals.intent.demonstrator import MOVE_COST, RATIONALITY, SLIPS, Episode
 from magical_goals.intent.meanings import Language
 from magical_goals.intent.posterior import Belief, infer
 from magical_goals.intent.scenes import moves, parsed_episode
+from magical_goals.language import Goal, parse
+from magical_goals.language.goals import States, Together, ways_at_start
+from magical_goals.language.parsing import bits_of_part
 from magical_goals.objects.data import parse_demonstrations
 from magical_goals.objects.parser import parse_frames
 
@@ -92,7 +91,7 @@ def test_selections_name_what_they_are_grouped_by_and_have_their_prior_weights()
     language = Language([FIX, TASKS["MatchRegions"].demo])
     for named, alternatives in language.alternatives.items():
         assert {language.named_by(each) for each in alternatives} == {named}
-        expected = [2.0 ** -bits(each) for each in alternatives]
+        expected = [2.0 ** -sum(map(bits_of_part, each.parts)) for each in alternatives]
         np.testing.assert_allclose(list(alternatives.values()), expected)
 
 
@@ -116,7 +115,7 @@ def test_weights_are_those_of_priors_and_of_the_square_root_of_as_many_likelihoo
     constants = []
     for program, weight in belief.explanations:
         orders = 2 if isinstance(program, Together) else 1
-        prior = math.log(orders) - math.log(2.0) * bits(program)
+        prior = math.log(orders) - math.log(2.0) * sum(map(bits_of_part, program.parts))
         likelihoods = [episode.log_likelihood(program) for episode in fixed]
         evidence = math.sqrt(len(fixed)) * float(np.mean(likelihoods))
         constants.append(math.log(weight) - prior - evidence)

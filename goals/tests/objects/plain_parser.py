@@ -10,15 +10,6 @@ from scipy import ndimage
 from magical.render.palette import GREY, RGB, SHADES, WHITE
 from magical.scene.constants import FINGER_ROOT_X, FINGER_ROOT_Y, FRAME_SIZE, ROBOT_RADIUS, SIDES
 from magical.scene.vocabulary import COLOURS
-from magical_goals.objects.components import (
-    MAX_REGION_PIXELS,
-    MAX_REGIONS,
-    MAX_WHITE,
-    MIN_REGION_PIXELS,
-    PIXEL,
-    REGION_MARGIN,
-    VIEW_HALF,
-)
 from magical_goals.objects.parser import (
     ABSENT,
     BODY_WINDOW,
@@ -28,8 +19,15 @@ from magical_goals.objects.parser import (
     FINGER_SLOPE,
     FINGER_WINDOW,
     MAX_BLOCKS,
+    MAX_REGION_PIXELS,
+    MAX_REGIONS,
+    MAX_WHITE,
     MIN_BLOCK_PIXELS,
+    MIN_REGION_PIXELS,
+    PIXEL,
+    REGION_MARGIN,
     SHAPE_WEIGHTS,
+    VIEW_HALF,
     ParsedFrames,
 )
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from magical_goals.objects.data import _moves
-from magical_goals.objects.hindsight import ROBOT_TARGET, find_goals, track
+from magical_goals.objects.control import ROBOT_TARGET
+from magical_goals.objects.data import _moves, find_goals, track
 from magical_goals.objects.parser import FAR, MAX_BLOCKS, ParsedFrames
 
 

@@ -11,9 +11,7 @@ from magical.demos.generate import demonstrate
 from magical.errors import PluginError, UnknownNameError
 from magical_baselines import load_policy, train
 from magical_goals.object_bc import ObjectBCConfig
-from magical_goals.objects.components import Pixels
-from magical_goals.objects.parser import ABSENT, ParsedFrames, parse_frames
-from magical_goals.objects.perception import get_perception
+from magical_goals.objects.parser import ABSENT, ParsedFrames, Pixels, get_perception, parse_frames
 from magical_goals.program_bc import ProgramBCConfig
 
 NAME = f"{__name__}:count"

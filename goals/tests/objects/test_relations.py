@@ -7,16 +7,17 @@ import pytest
 import torch
 
 from magical_goals.objects import goals
+from magical_goals.objects.control import ROBOT_TARGET, ObjectTable
 from magical_goals.objects.goals import (
+    RELATIONS,
+    UNKNOWN,
     GoalModel,
     PiecewiseLinear,
     goal_losses,
+    relate,
     relate_blocks,
 )
-from magical_goals.objects.hindsight import ROBOT_TARGET
 from magical_goals.objects.parser import FAR
-from magical_goals.objects.relations import RELATIONS, UNKNOWN, relate
-from magical_goals.objects.table import ObjectTable
 
 NAMES = [relation.name for relation in RELATIONS]
 

@@ -1,10 +1,9 @@
 """The Gymnasium environment."""
 
-import importlib
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal, get_args
+from typing import Any, ClassVar
 
 import gymnasium as gym
 import numpy as np
@@ -32,10 +31,9 @@ from magical.scene.constants import CONTROL_RATE
 from magical.scene.poses import Poses, State
 from magical.scene.scene import Dynamics, Scene
 from magical.tasks import Horizon, Task, get_task, parse_horizon
+from magical.tasks.scoring import SUCCESS
 
-SUCCESS = 0.5  # an episode with a higher score succeeded, as in the published environments
 SCORE_KEYS = ("eval_score", "published_code_score")  # of `info`
-Instruction = Literal["attributes", "task"]
 RESET_OPTIONS = ("scene", "dynamics")
 RENDER_MODES = (None, "rgb_array")
 
@@ -45,7 +43,6 @@ REWARDS = "magical.rewards"
 Reward = str
 Bodies = NDArray[np.float64]  # (5 + blocks, 6): x, y, angle and their velocities
 Potential = Callable[[Scene, Bodies], float]
-BUILT_IN_REWARDS = {"dense": "magical.tasks.programs.reward:dense"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,13 +94,11 @@ class MagicalEnv(gym.Env[Any, Any]):
         reward: "none", "score", or the name of a potential (`REWARDS`).
         render_mode: "rgb_array" (both views side by side) or None; for a window see
             `gymnasium.wrappers.HumanRendering`.
-        instruction: "attributes" names blocks by colour and shape in `info["instruction"]`; "task"
-            only says what the task is about.
         action_space: "discrete" or "continuous".
 
     Raises:
-        UnknownNameError: there is no such task, variant, observation, reward, render mode,
-            instruction or action space.
+        UnknownNameError: there is no such task, variant, observation, reward, render mode
+            or action space.
         InvalidConfigError, ObservationError: an invalid horizon or observation.
 
     Attributes:
@@ -130,7 +125,6 @@ class MagicalEnv(gym.Env[Any, Any]):
         horizon: Horizon = None,
         reward: Reward = "none",
         render_mode: str | None = None,
-        instruction: Instruction = "attributes",
         action_space: ActionSpaceName = "discrete",
     ) -> None:
         self.task: Task = get_task(task)
@@ -139,7 +133,6 @@ class MagicalEnv(gym.Env[Any, Any]):
         self.horizon, self.variant = self._own
         self.reward, self.potential = reward, find_potential(reward, self.task)
         self.render_mode = known("render mode", render_mode, RENDER_MODES)
-        self._names_attributes = known("instruction", instruction, get_args(Instruction))
         self.observation_spec = make_spec(observation, self.task)
         self.observation_space = self.observation_spec.space
         self.observer = self.observation_spec.observer()
@@ -204,8 +197,7 @@ class MagicalEnv(gym.Env[Any, Any]):
             dynamics = given if isinstance(given, Dynamics) else Dynamics.from_dict(given)
         self._exact = True
         self._begin(Simulation(scene, dynamics), [])
-        words = self.task.instruction(scene, attributes=self._names_attributes == "attributes")
-        return Scores().to_info() | {"instruction": words}
+        return Scores().to_info() | {"instruction": self.task.instruction(scene)}
 
     def _begin(self, simulation: Simulation, actions: list[Point], *earlier: Bodies) -> None:
         """Continue from a simulation's current state, with the bodies that a stack shows before."""
@@ -340,15 +332,10 @@ def find_potential(reward: Reward, task: Task) -> Potential | None:
     """The potential of a reward, None for "none" and "score"; raises `UnknownNameError`."""
     if reward in ("none", "score"):
         return None
-    if isinstance(reward, str) and reward in BUILT_IN_REWARDS:
-        module, _, name = BUILT_IN_REWARDS[reward].partition(":")
-        make = getattr(importlib.import_module(module), name)
-    elif isinstance(reward, str) and is_plugin(REWARDS, reward):
-        make = load_plugin(REWARDS, reward)
-    else:
-        names = ", ".join(("none", "score", *BUILT_IN_REWARDS, *plugins(REWARDS)))
+    if not isinstance(reward, str) or not is_plugin(REWARDS, reward):
+        names = ", ".join(("none", "score", *plugins(REWARDS)))
         raise UnknownNameError(f"reward {quoted(reward)} is unknown; expected one of: {names}")
-    potential: Potential = make(task)
+    potential: Potential = load_plugin(REWARDS, reward)(task)
     return potential
 
 

@@ -17,8 +17,6 @@ from magical.envs.action_spec import ActionSpaceName, action_spec
 from magical.envs.env import (
     RENDER_MODES,
     SCORE_KEYS,
-    SUCCESS,
-    Instruction,
     MagicalEnv,
     Reward,
     known,
@@ -37,6 +35,7 @@ from magical.observe.arrays import assign, copy_arrays, gather, map_arrays, sele
 from magical.processes import checked_workers
 from magical.scene.poses import FIRST_BLOCK, State
 from magical.tasks import Horizon
+from magical.tasks.scoring import SUCCESS
 
 Bools = NDArray[np.bool_]
 Rows = NDArray[np.int64]
@@ -60,7 +59,6 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         observation: see `observe.make_spec`; takes precedence over the ids' preset.
         horizon: as for `MagicalEnv`.
         reward: as for `MagicalEnv`.
-        instruction: as for `MagicalEnv`.
         action_space: as for `MagicalEnv`.
         autoreset_mode: what happens after an episode's last step, an `AutoresetMode` or its value.
             "NextStep": the next step ignores the action and starts another episode. "SameStep":
@@ -72,7 +70,7 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         render_mode: "rgb_array" or None.
 
     Raises:
-        UnknownNameError: an unknown id, observation, reward, instruction, action space, autoreset
+        UnknownNameError: an unknown id, observation, reward, action space, autoreset
             mode or render mode.
         ValueError: no ids, or an invalid number of workers.
         InvalidConfigError, ObservationError: an invalid horizon or observation.
@@ -87,7 +85,6 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         observation: Observation = None,
         horizon: Horizon = None,
         reward: Reward = "none",
-        instruction: Instruction = "attributes",
         action_space: ActionSpaceName = "discrete",
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         copy: bool = True,
@@ -113,7 +110,6 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
                 horizon=horizon,
                 reward=reward,
                 render_mode=render_mode,
-                instruction=instruction,
                 action_space=action_space,
             )
             for env_id in parsed

@@ -11,6 +11,7 @@ from magical.tasks.horizons import (
 from magical.tasks.placement import Placement
 from magical.tasks.registry import (
     TASKS,
+    TaskFamily,
     discover,
     get_task,
     importable_tasks,
@@ -18,6 +19,7 @@ from magical.tasks.registry import (
     load_tasks,
     possible_variants,
     register_task,
+    suites,
     unregister_task,
     with_tasks,
 )
@@ -33,6 +35,7 @@ __all__ = [
     "Horizon",
     "Placement",
     "Task",
+    "TaskFamily",
     "format_horizon",
     "get_task",
     "have_two_horizons",
@@ -43,6 +46,7 @@ __all__ = [
     "possible_variants",
     "register_task",
     "require_two_horizons",
+    "suites",
     "unregister_task",
     "validate_scene",
     "with_tasks",

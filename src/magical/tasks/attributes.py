@@ -1,5 +1,6 @@
-"""Sampling the number, colours and shapes of blocks (docs/specification.md, section 8)."""
+"""The number, colours and shapes of blocks: sampled (docs/specification.md, section 8), named."""
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import TypeVar
@@ -10,6 +11,18 @@ from magical.scene import COLOURS, SHAPES, Block
 from magical.tasks.axes import Axis
 
 Item = TypeVar("Item")
+
+NUMBERS = {2: "both", 3: "the three", 4: "the four", 5: "the five", 6: "the six"}
+
+
+def name_blocks(blocks: Sequence[Block]) -> str:
+    """The blocks in English, such as "the red star, the red circle and both blue stars"."""
+    kinds = Counter(f"{block.colour} {block.shape}" for block in blocks)
+    *names, last = (
+        f"the {kind}" if count == 1 else f"{NUMBERS.get(count, f'the {count}')} {kind}s"
+        for kind, count in kinds.items()
+    )
+    return f"{', '.join(names)} and {last}" if names else last
 
 
 def sample_item(items: Sequence[Item], rng: np.random.Generator) -> Item:

@@ -1,23 +1,7 @@
-"""ClusterShape: push the blocks into clusters of the same shape (appendix A.2.7).
-
-The score rises linearly from 0 to 1 as the fraction of correctly clustered blocks rises from 0.5
-to 1. A block is correctly clustered when its squared distance to the centroid of its own shape is
-less than a third of that to the nearest centroid of another shape. The published code has a
-different rule (docs/specification.md, section 9).
-
-Horizon: 320 control steps (the published code and the human demonstrations: 240).
-
-Variants: all.
-
-- Jitter, Layout: poses of robot and blocks.
-- Colour, Shape: each of the four values at least once, the rest uniform, in random order.
-- CountPlus: 7 to 10 blocks, with Layout, Colour and Shape.
-- Dynamics: forces only. All: CountPlus and Dynamics.
-"""
+"""ClusterShape: push the blocks into clusters of the same shape (appendix A.2.7)."""
 
 from magical.scene import SHAPES, Block, Colour, Pose, Scene, Shape
 from magical.tasks import clustering
-from magical.tasks.programs import Attribute
 
 DEMO = Scene(
     robot=Pose(0.286, -0.202, -1.878),
@@ -33,4 +17,4 @@ DEMO = Scene(
     ),
 )
 
-TASK = clustering.make_task(Attribute.SHAPE, DEMO, SHAPES)
+TASK = clustering.make_task("shape", DEMO, SHAPES)

@@ -1,29 +1,25 @@
-"""ClusterColour and ClusterShape, except for their Demo scenes (appendix A.2.7).
-
-A block of attribute value a is correctly clustered when its squared distance to the centroid of
-the blocks of value a is less than a third of that to the nearest other value's centroid. With f
-the fraction of such blocks, the score is 0 up to f = 0.5 and rises linearly to 1 at f = 1.
-
-The published code requires sqrt(own) < sqrt(nearest other) - 2 own, where own and nearest other are
-squared distances, and its score rises from f = 0.75 (docs/specification.md, section 9).
-"""
+"""ClusterColour and ClusterShape, except for their Demo scenes (appendix A.2.7)."""
 
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from typing import Literal
 
 import numpy as np
 
 from magical.scene import COLOURS, SHAPES, Poses, Scene
 from magical.tasks.attributes import cycle_blocks, sample_count, sample_covering
 from magical.tasks.axes import EVERYTHING, Axis
-from magical.tasks.programs import Attribute, Clustered, value_of
+from magical.tasks.scoring import Distances, centroid_distances, positions
 from magical.tasks.task import Task
 
 HORIZON = 320  # control steps
 PUBLISHED_HORIZON = 240  # control steps
 BLOCKS = (7, 10)  # minimum and maximum in CountPlus
-PUBLISHED_NO_SCORE = 0.75  # fraction of blocks clustered up to which the published score is 0
+NO_SCORE = 0.5  # fraction of blocks clustered up to which the score is 0
+PUBLISHED_NO_SCORE = 0.75  # the same in the published code
+
+Attribute = Literal["colour", "shape"]
 
 
 def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
@@ -39,35 +35,57 @@ def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
     return replace(scene, blocks=blocks)
 
 
-def published_score(scene: Scene, poses: Poses, program: Clustered) -> float:
+def distances(scene: Scene, poses: Poses, attribute: Attribute) -> tuple[Distances, Distances]:
+    """Squared distances of the blocks to own and nearest other centroids; see the module."""
+    values = [getattr(block, attribute) for block in scene.blocks]
+    return centroid_distances(values, np.array(positions(scene, poses)))
+
+
+def score(scene: Scene, poses: Poses, attribute: Attribute) -> float:
+    """The appendix's score, 0 to 1."""
+    own, other = distances(scene, poses, attribute)
+    fraction = float(np.mean(own < other / 3))
+    return max(0.0, fraction - NO_SCORE) / (1.0 - NO_SCORE)
+
+
+def published_score(scene: Scene, poses: Poses, attribute: Attribute) -> float:
     """The published code's score, 0 to 1 (docs/specification.md, section 9)."""
-    own, other = program.distances(scene, poses)
+    own, other = distances(scene, poses, attribute)
     fraction = float(np.mean(np.sqrt(own) < np.sqrt(other) - 2 * own))
     return max(0.0, fraction - PUBLISHED_NO_SCORE) / (1.0 - PUBLISHED_NO_SCORE)
 
 
+def instruction(scene: Scene, attribute: Attribute) -> str:
+    """What to do, in English."""
+    return f"Push the blocks into clusters of the same {attribute}."
+
+
 def validate(scene: Scene, attribute: Attribute, expected: Sequence[str]) -> str:
     """The reason why the scene does not fit the task, or an empty string."""
-    values = {value_of(block, attribute) for block in scene.blocks}
+    values = {getattr(block, attribute) for block in scene.blocks}
     missing = [value for value in expected if value not in values]
     return f"expected at least one {' and one '.join(missing)} block, found none" if missing else ""
 
 
 def make_task(attribute: Attribute, demo: Scene, values: Sequence[str]) -> Task:
     """The task of clustering blocks by an attribute with these values."""
-    program = Clustered(attribute)
     return Task(
         name=f"Cluster{attribute.capitalize()}",
         summary=f"Push the blocks into clusters of the same {attribute}.",
+        rule=f"""A block is correctly clustered when its squared distance to the centroid of its own
+{attribute} is less than a third of that to the nearest centroid of another {attribute}. The score
+rises linearly from 0 to 1 as the fraction of such blocks rises from 0.5 to 1. The published code
+requires sqrt(own) < sqrt(nearest other) - 2 own, where own and nearest other are the squared
+distances, and its score rises from 0.75.""",
         section="A.2.7",
         horizon=HORIZON,
         published_horizon=PUBLISHED_HORIZON,
         demo=demo,
         axes=EVERYTHING,
         randomise_fn=randomise,
-        program=program,
-        score_fn=program.score,
-        published_score_fn=partial(published_score, program=program),
+        score_fn=partial(score, attribute=attribute),
+        published_score_fn=partial(published_score, attribute=attribute),
+        instruction_fn=partial(instruction, attribute=attribute),
         max_blocks=BLOCKS[1],
         max_regions=0,
         validate_fn=partial(validate, attribute=attribute, expected=values),

@@ -1,23 +1,6 @@
 """FindDupe: push a duplicate of the query block into the goal region (appendix A.2.5).
 
 The query block starts inside the region. The order of blocks is outside blocks, duplicate, query.
-With q the query block, T the other blocks of its shape and colour, D the distractors and R the
-blocks that end inside the region, the score is
-
-    [q in R]  x  [T & R not empty]  x  (1 - |D & R| / |R|).
-
-In the published code, any two blocks like the query suffice, and q need not stay
-(docs/specification.md, section 9).
-
-Horizon: 100 control steps.
-
-Variants: all.
-
-- Jitter, Layout: poses of robot and blocks, the region's position and size; the query block stays
-  within the region.
-- Colour, Shape: the query's and every outside block's, uniform; the duplicate has the query's.
-- CountPlus: 1 to 5 outside blocks in addition to the duplicate, with Layout, Colour and Shape.
-- Dynamics: forces only. All: CountPlus and Dynamics.
 """
 
 from dataclasses import replace
@@ -28,18 +11,6 @@ from magical.scene import Block, Colour, Pose, Poses, Region, Scene, Shape
 from magical.tasks.attributes import cycle_blocks, sample_attributes, sample_count
 from magical.tasks.axes import EVERYTHING, Axis
 from magical.tasks.placement import Placement
-from magical.tasks.programs import (
-    And,
-    Attribute,
-    Enclosed,
-    Every,
-    InRegion,
-    LikeEnclosed,
-    OneOf,
-    Only,
-    Outside,
-    Together,
-)
 from magical.tasks.scoring import blocks_inside
 from magical.tasks.task import Task
 
@@ -58,11 +29,6 @@ DEMO = Scene(
         Block(Shape.PENTAGON, Colour.YELLOW, Pose(-0.33, -0.49, -0.51)),
     ),
     regions=(Region(Colour.YELLOW, x=-0.72, y=-0.22, height=0.67, width=0.72),),
-)
-
-PROGRAM = Together(
-    OneOf(And(Outside(), LikeEnclosed(Attribute.KIND)), InRegion()),
-    Together(Every(Enclosed(), InRegion()), Only(LikeEnclosed(Attribute.KIND))),
 )
 
 
@@ -99,6 +65,16 @@ def alike(scene: Scene) -> set[int]:
     return {i for i, block in enumerate(scene.blocks) if (block.shape, block.colour) == wanted}
 
 
+def instruction(scene: Scene) -> str:
+    """What to do, in English."""
+    kind, region = f"{scene.blocks[-1].colour} {scene.blocks[-1].shape}", scene.regions[0].colour
+    duplicate = f"the {kind} that is outside" if len(alike(scene)) == 2 else f"one {kind}"
+    return (
+        f"Push {duplicate} into the {region} region. Keep the {kind} that is inside where it is. "
+        f"Keep all other blocks out of the {region} region."
+    )
+
+
 def validate(scene: Scene) -> str:
     """The reason why the scene does not fit the task, or an empty string."""
     if len(scene.regions) != 1 or not scene.blocks:
@@ -118,14 +94,20 @@ def validate(scene: Scene) -> str:
 TASK = Task(
     name="FindDupe",
     summary="Push a duplicate of the query block, which is in the goal region, into that region.",
+    rule="""With q the query block, T the other blocks of its shape and colour, D the distractors
+and R the blocks that end inside the region, the score is
+
+    [q in R]  x  [T & R not empty]  x  (1 - |D & R| / |R|).
+
+In the published code, any two blocks like the query suffice, and q need not stay.""",
     section="A.2.5",
     horizon=100,
     demo=DEMO,
     axes=EVERYTHING,
     randomise_fn=randomise,
     placement=Placement(encloses=True, margin=MARGIN),
-    program=PROGRAM,
     score_fn=score,
+    instruction_fn=instruction,
     published_score_fn=published_score,
     max_blocks=OTHERS[1] + 2,
     max_regions=1,

@@ -1,32 +1,24 @@
 """FixColour: push the mismatched block out of its goal region (appendix A.2.6).
 
 Each goal region starts with one block inside, block i in region i. Exactly one block, the
-mismatched one, differs in colour from its region. The score is 1 if the mismatched block ends
-outside its region while every other region contains exactly the block that it started with,
-otherwise 0.
-
-Horizon: 60 control steps.
-
-Variants: all.
-
-- Jitter, Layout: poses of the robot and of the blocks within their regions, the regions' positions
-  and sizes.
-- Colour: the regions' colours, uniform; one block, chosen uniformly, has one of the three other
-  colours.
-- Shape: every block's, uniform.
-- CountPlus: 2 or 3 pairs of a block and a region, with Layout, Colour and Shape.
-- Dynamics: forces only. All: CountPlus and Dynamics.
+mismatched one, differs in colour from its region.
 """
 
 from dataclasses import replace
 
 import numpy as np
 
-from magical.scene import COLOURS, Block, Colour, Pose, Region, Scene, Shape
-from magical.tasks.attributes import cycle_blocks, sample_attributes, sample_count, sample_item
+from magical.scene import COLOURS, Block, Colour, Pose, Poses, Region, Scene, Shape
+from magical.tasks.attributes import (
+    cycle_blocks,
+    name_blocks,
+    sample_attributes,
+    sample_count,
+    sample_item,
+)
 from magical.tasks.axes import EVERYTHING, Axis
 from magical.tasks.placement import Placement
-from magical.tasks.programs import Every, Matched, Mismatched, OutOfRegions, Together, Undisturbed
+from magical.tasks.scoring import blocks_inside
 from magical.tasks.task import Task
 
 PAIRS = (2, 3)  # minimum and maximum number of pairs in CountPlus
@@ -47,8 +39,6 @@ DEMO = Scene(
     ),
 )
 
-PROGRAM = Together(Every(Mismatched(), OutOfRegions()), Undisturbed(Matched()))
-
 
 def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
     """Sample the number of pairs, the blocks' shapes, the regions' colours and the mismatch."""
@@ -64,6 +54,34 @@ def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
     return replace(scene, blocks=tuple(blocks), regions=regions)
 
 
+def mismatched(scene: Scene) -> list[int]:
+    """Indices of the blocks of another colour than their regions: one, in a scene of the task."""
+    pairs = zip(scene.blocks, scene.regions, strict=True)
+    return [i for i, (block, region) in enumerate(pairs) if block.colour != region.colour]
+
+
+def score(scene: Scene, poses: Poses) -> float:
+    """1 if only the mismatched block has left, and nothing has come, else 0 (appendix A.2.6)."""
+    (odd,) = mismatched(scene)
+    inside = [blocks_inside(region, scene, poses) for region in scene.regions]
+    left = odd not in inside.pop(odd)
+    return float(left and inside == [{i} for i in range(len(scene.blocks)) if i != odd])
+
+
+def instruction(scene: Scene) -> str:
+    """What to do, in English."""
+    (odd,), blocks = mismatched(scene), list(scene.blocks)
+    kinds = [(block.colour, block.shape) for block in blocks]
+    if kinds.count(kinds[odd]) > 1:  # colours and shapes do not tell them apart
+        return (
+            "Push every block that is inside a region of another colour out of any region. Keep "
+            "every block that is inside a region of its own colour where it is."
+        )
+    name, others = name_blocks([blocks.pop(odd)]), name_blocks(blocks)
+    where = "where it is" if len(blocks) == 1 else "where they are"
+    return f"Push {name} out of any region. Keep {others} {where}."
+
+
 def validate(scene: Scene) -> str:
     """The reason why the scene does not fit the task, or an empty string."""
     if len(scene.blocks) != len(scene.regions):
@@ -75,7 +93,7 @@ def validate(scene: Scene) -> str:
         inside = [k for k, block in enumerate(scene.blocks) if region.contains(*block.pose[:2])]
         if inside != [i]:
             return f"expected block {i} alone inside region {i}, found blocks {inside}; move them"
-    if len(odd := Mismatched().blocks(scene)) != 1:
+    if len(odd := mismatched(scene)) != 1:
         return f"expected exactly 1 block of another colour than its region, found {len(odd)}"
     return ""
 
@@ -83,14 +101,16 @@ def validate(scene: Scene) -> str:
 TASK = Task(
     name="FixColour",
     summary="Push the block that differs in colour from its goal region out of the region.",
+    rule="""The score is 1 if the mismatched block ends outside its region while every other region
+contains exactly the block that it started with, otherwise 0.""",
     section="A.2.6",
     horizon=60,
     demo=DEMO,
     axes=EVERYTHING,
     randomise_fn=randomise,
     placement=Placement(region_size=REGION_SIZE, encloses=True, margin=MARGIN),
-    program=PROGRAM,
-    score_fn=PROGRAM.score,
+    score_fn=score,
+    instruction_fn=instruction,
     max_blocks=PAIRS[1],
     max_regions=PAIRS[1],
     validate_fn=validate,

@@ -19,8 +19,7 @@ MAX_HORIZON = int(np.iinfo(np.int64).max)
 def parse_horizon(value: Any) -> Horizon:
     """Parse "appendix", "published" or a number of steps into what `Task.resolve_horizon` takes.
 
-    Raises:
-        InvalidConfigError: none of these, or a number of steps out of range.
+    Raises `InvalidConfigError` for anything else.
     """
     if value is None or (isinstance(value, str) and value in (APPENDIX, PUBLISHED)):
         return PUBLISHED if value == PUBLISHED else None
@@ -43,25 +42,17 @@ def format_horizon(horizon: Horizon) -> str:
 
 
 def have_two_horizons(tasks: Iterable[str]) -> bool:
-    """Whether the published code's horizon differs from the appendix's for any of the tasks.
-
-    Raises `UnknownNameError` for an unknown task.
-    """
+    """Whether the published code's horizon differs from the appendix's for any of the tasks."""
     return any(get_task(name).has_two_horizons for name in tasks)
 
 
 def require_two_horizons(tasks: Iterable[str]) -> None:
-    """Check that the published code's horizon differs from the appendix's for any of the tasks.
-
-    Raises:
-        UnknownNameError: all of the tasks have only one horizon, or a task is unknown.
-    """
+    """Raise `UnknownNameError` unless `have_two_horizons`."""
     names = list(dict.fromkeys(tasks))
-    if have_two_horizons(names):
-        return
-    found = ", ".join(f"{name} ({get_task(name).horizon} steps)" for name in names)
-    expected = ", ".join(task.name for task in importable_tasks() if task.has_two_horizons)
-    raise UnknownNameError(
-        f"horizon 'published': expected a task that the published code runs for another number of "
-        f"steps ({expected}), found tasks with one horizon only: {found}; leave the horizon out"
-    )
+    if not have_two_horizons(names):
+        found = ", ".join(f"{name} ({get_task(name).horizon} steps)" for name in names)
+        expected = ", ".join(task.name for task in importable_tasks() if task.has_two_horizons)
+        raise UnknownNameError(
+            f"horizon 'published': expected a task that the published code runs for another number "
+            f"of steps ({expected}), found tasks with one horizon only: {found}; leave it out"
+        )

@@ -1,20 +1,4 @@
-"""MakeLine: arrange all blocks in a line of any position and direction (appendix A.2.4).
-
-For a pair of blocks, the inliers are the blocks at most d_i = 0.18 units from the geometric line
-through the pair. Sorted along that line, they are split into subsets wherever neighbours are more
-than d_c = 0.42 units apart. With n blocks and m the size of the largest subset over all pairs, the
-score is 1 if m = n, 0.5 if m = n - 1, otherwise 0. Colours and shapes are ignored. In the published
-code, two of three blocks in a line score 0 (docs/specification.md, section 9).
-
-Horizon: 180 control steps.
-
-Variants: all.
-
-- Jitter, Layout: poses of robot and blocks.
-- Colour, Shape: every block's, uniform.
-- CountPlus: 3 or 4 blocks, with Layout, Colour and Shape.
-- Dynamics: forces only. All: CountPlus and Dynamics.
-"""
+"""MakeLine: arrange all blocks in a line of any position and direction (appendix A.2.4)."""
 
 from dataclasses import replace
 
@@ -23,7 +7,6 @@ import numpy as np
 from magical.scene import Block, Colour, Pose, Poses, Scene, Shape
 from magical.tasks.attributes import cycle_blocks, sample_attributes, sample_count
 from magical.tasks.axes import EVERYTHING, Axis
-from magical.tasks.programs import AllBlocks, Lined
 from magical.tasks.scoring import longest_line, positions
 from magical.tasks.task import Task
 
@@ -40,8 +23,6 @@ DEMO = Scene(
     ),
 )
 
-PROGRAM = Lined(AllBlocks())
-
 
 def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
     """Sample the number of blocks, and each block's colour and shape."""
@@ -51,10 +32,21 @@ def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
     return replace(scene, blocks=sample_attributes(blocks, axes, rng))
 
 
+def score(scene: Scene, poses: Poses) -> float:
+    """1 if all blocks are in line, 0.5 if all but one are, else 0 (appendix A.2.4)."""
+    missing = len(scene.blocks) - longest_line(positions(scene, poses))
+    return {0: 1.0, 1: 0.5}.get(missing, 0.0)
+
+
 def published_score(scene: Scene, poses: Poses) -> float:
-    """As `PROGRAM`'s, but two blocks of three score 0 (docs/specification.md, section 9)."""
+    """As `score`, but two blocks of three score 0 (docs/specification.md, section 9)."""
     shortest = min(PUBLISHED_SHORTEST, len(scene.blocks))
-    return PROGRAM.score(scene, poses) if longest_line(positions(scene, poses)) >= shortest else 0.0
+    return score(scene, poses) if longest_line(positions(scene, poses)) >= shortest else 0.0
+
+
+def instruction(scene: Scene) -> str:
+    """What to do, in English."""
+    return "Arrange all blocks in a line."
 
 
 def validate(scene: Scene) -> str:
@@ -65,13 +57,18 @@ def validate(scene: Scene) -> str:
 TASK = Task(
     name="MakeLine",
     summary="Arrange all blocks in a line.",
+    rule="""For a pair of blocks, the inliers are the blocks at most 0.18 units from the geometric
+line through the pair. Sorted along it, they are split into subsets wherever neighbours are more
+than 0.42 units apart. With n blocks and m the size of the largest subset over all pairs, the score
+is 1 if m = n, 0.5 if m = n - 1, otherwise 0. Colours and shapes are ignored. In the published code,
+two of three blocks in a line score 0.""",
     section="A.2.4",
     horizon=180,
     demo=DEMO,
     axes=EVERYTHING,
     randomise_fn=randomise,
-    program=PROGRAM,
-    score_fn=PROGRAM.score,
+    score_fn=score,
+    instruction_fn=instruction,
     published_score_fn=published_score,
     max_blocks=BLOCKS[1],
     max_regions=0,

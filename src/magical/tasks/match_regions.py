@@ -1,31 +1,20 @@
-"""MatchRegions: move all and only blocks of the goal region's colour into it (appendix A.2.3).
-
-With T the target blocks (of the region's colour), D the distractors (of other colours) and R the
-blocks that end inside the region, the score is
-
-    |T & R| / |T|  x  (1 - |D & R| / |R|)      (0 if R is empty).
-
-Horizon: 120 control steps.
-
-Variants: all.
-
-- Jitter, Layout: poses of robot and blocks, the region's position and size.
-- Colour: the target colour, uniform; the distractors have the three others in order.
-- Shape: every block's, uniform.
-- CountPlus: 1 or 2 targets, 0 to 2 distractors of each other colour, always one region, with
-  Layout, Colour and Shape.
-- Dynamics: forces only. All: CountPlus and Dynamics.
-"""
+"""MatchRegions: move all and only blocks of the goal region's colour into it (appendix A.2.3)."""
 
 import math
 from dataclasses import replace
 
 import numpy as np
 
-from magical.scene import COLOURS, Block, Colour, Pose, Region, Scene, Shape
-from magical.tasks.attributes import cycle_blocks, sample_attributes, sample_count, sample_item
+from magical.scene import COLOURS, Block, Colour, Pose, Poses, Region, Scene, Shape
+from magical.tasks.attributes import (
+    cycle_blocks,
+    name_blocks,
+    sample_attributes,
+    sample_count,
+    sample_item,
+)
 from magical.tasks.axes import EVERYTHING, Axis
-from magical.tasks.programs import Exactly, OfRegionColour
+from magical.tasks.scoring import blocks_inside
 from magical.tasks.task import Task
 
 TARGETS = (1, 2)  # minimum and maximum in CountPlus
@@ -43,8 +32,6 @@ DEMO = Scene(
     ),
     regions=(Region(Colour.GREEN, x=0.1, y=0.7, height=0.7, width=0.6),),
 )
-
-PROGRAM = Exactly(OfRegionColour())
 
 
 def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
@@ -72,25 +59,50 @@ def _target_first(target: Colour) -> list[Colour]:
     return [target, *(colour for colour in COLOURS if colour != target)]
 
 
+def targets(scene: Scene) -> set[int]:
+    """Indices of the blocks of the region's colour; the others are distractors."""
+    return {i for i, b in enumerate(scene.blocks) if b.colour == scene.regions[0].colour}
+
+
+def score(scene: Scene, poses: Poses) -> float:
+    """Target bonus times one minus the distractor penalty, 0 to 1 (appendix A.2.3)."""
+    wanted, inside = targets(scene), blocks_inside(scene.regions[0], scene, poses)
+    if not inside:
+        return 0.0
+    return len(wanted & inside) / len(wanted) * (1.0 - len(inside - wanted) / len(inside))
+
+
+def instruction(scene: Scene) -> str:
+    """What to do, in English."""
+    region = f"the {scene.regions[0].colour} region"
+    names = name_blocks([scene.blocks[i] for i in sorted(targets(scene))])
+    return f"Push {names} into {region}. Keep all other blocks out of {region}."
+
+
 def validate(scene: Scene) -> str:
     """The reason why the scene does not fit the task, or an empty string."""
     if len(scene.regions) != 1:
         return "expected 1 goal region, found none"
+    if targets(scene):
+        return ""
     colour = scene.regions[0].colour
-    found = any(block.colour == colour for block in scene.blocks)
-    return "" if found else f"expected a block of the region's colour {colour}, found none; add one"
+    return f"expected a block of the region's colour {colour}, found none; add one"
 
 
 TASK = Task(
     name="MatchRegions",
     summary="Gather all blocks of the goal region's colour, and only those, in the region.",
+    rule="""With T the target blocks (of the region's colour), D the distractors (of other colours)
+and R the blocks that end inside the region, the score is
+
+    |T & R| / |T|  x  (1 - |D & R| / |R|)      (0 if R is empty).""",
     section="A.2.3",
     horizon=120,
     demo=DEMO,
     axes=EVERYTHING,
     randomise_fn=randomise,
-    program=PROGRAM,
-    score_fn=PROGRAM.score,
+    score_fn=score,
+    instruction_fn=instruction,
     max_blocks=TARGETS[1] + DISTRACTORS[1] * (len(COLOURS) - 1),
     max_regions=1,
     validate_fn=validate,

@@ -1,15 +1,6 @@
 """MoveToCorner: push the block from the bottom right to the top left corner (appendix A.2.1).
 
-The score is 1 if the block's centre ends within sqrt(2)/2 units of the top left corner of the
-workspace, 0 beyond sqrt(2) units, and linear in the distance between.
-
-Horizon: 80 control steps.
-
-Variants: all but Layout and CountPlus, which would leave open which corner or which block is meant.
-
-- Jitter: poses of robot and block.
-- Colour, Shape: the block's, uniform.
-- Dynamics: forces only. All: Jitter, Colour, Shape and Dynamics.
+Without Layout and CountPlus, which would leave open which corner or which block is meant.
 """
 
 import math
@@ -17,14 +8,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from magical.scene import Block, Colour, Pose, Scene, Shape
+from magical.scene import Block, Colour, Pose, Poses, Scene, Shape
 from magical.scene.constants import WORKSPACE_HALF
-from magical.tasks.attributes import sample_attributes
+from magical.tasks.attributes import name_blocks, sample_attributes
 from magical.tasks.axes import Axis
-from magical.tasks.programs import AllBlocks, Corner, Each, InCorner
+from magical.tasks.scoring import positions
 from magical.tasks.task import Task
 
 GOAL = (-WORKSPACE_HALF, WORKSPACE_HALF)  # the top left corner
+NO_SCORE = math.sqrt(2.0)  # units from the corner: no score from here on
+FULL_SCORE = NO_SCORE / 2  # units: full score within
 
 DEMO = Scene(
     robot=Pose(0.4, 0.0, 0.55 * math.pi),
@@ -32,12 +25,21 @@ DEMO = Scene(
     robot_first=True,
 )
 
-PROGRAM = Each(AllBlocks(), InCorner(Corner.TOP_LEFT))
-
 
 def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
     """Sample the block's colour and shape."""
     return replace(scene, blocks=sample_attributes(scene.blocks, axes, rng))
+
+
+def score(scene: Scene, poses: Poses) -> float:
+    """1 near the corner, 0 far from it, linear between (appendix A.2.1)."""
+    left = NO_SCORE - math.dist(positions(scene, poses)[0], GOAL)
+    return min(max(left / (NO_SCORE - FULL_SCORE), 0.0), 1.0)
+
+
+def instruction(scene: Scene) -> str:
+    """What to do, in English."""
+    return f"Push {name_blocks(scene.blocks)} to the top left corner."
 
 
 def validate(scene: Scene) -> str:
@@ -48,13 +50,15 @@ def validate(scene: Scene) -> str:
 TASK = Task(
     name="MoveToCorner",
     summary="Push the block from the bottom right corner to the top left corner.",
+    rule="""The score is 1 if the block's centre ends within sqrt(2)/2 units of the top left corner
+of the workspace, 0 beyond sqrt(2) units, and linear in the distance between.""",
     section="A.2.1",
     horizon=80,
     demo=DEMO,
     axes=Axis.JITTER | Axis.COLOUR | Axis.SHAPE | Axis.DYNAMICS,
     randomise_fn=randomise,
-    program=PROGRAM,
-    score_fn=PROGRAM.score,
+    score_fn=score,
+    instruction_fn=instruction,
     max_blocks=1,
     max_regions=0,
     validate_fn=validate,

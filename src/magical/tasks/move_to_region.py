@@ -1,24 +1,12 @@
-"""MoveToRegion: drive the robot into the goal region (appendix A.2.2).
-
-The score is 1 if the centre of the robot's body ends inside the goal region, otherwise 0.
-
-Horizon: 40 control steps.
-
-Variants: all but Shape and CountPlus, as there are no blocks.
-
-- Jitter, Layout: the robot's pose, the region's position and size.
-- Colour: the region's, uniform.
-- Dynamics: forces only. All: Layout, Colour and Dynamics.
-"""
+"""MoveToRegion: drive the robot into the goal region (appendix A.2.2). There are no blocks."""
 
 from dataclasses import replace
 
 import numpy as np
 
-from magical.scene import COLOURS, Colour, Pose, Region, Scene
+from magical.scene import COLOURS, Colour, Pose, Poses, Region, Scene
 from magical.tasks.attributes import sample_item
 from magical.tasks.axes import Axis
-from magical.tasks.programs import RobotInside
 from magical.tasks.task import Task
 
 DEMO = Scene(
@@ -26,14 +14,22 @@ DEMO = Scene(
     regions=(Region(Colour.BLUE, x=-0.62, y=-0.17, height=0.76, width=0.75),),
 )
 
-PROGRAM = RobotInside()
-
 
 def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
     """Sample the region's colour."""
     if Axis.COLOUR not in axes:
         return scene
     return replace(scene, regions=(replace(scene.regions[0], colour=sample_item(COLOURS, rng)),))
+
+
+def score(scene: Scene, poses: Poses) -> float:
+    """1 if the robot's centre is inside the region, else 0 (appendix A.2.2)."""
+    return float(scene.regions[0].contains(*poses.robot[:2]))
+
+
+def instruction(scene: Scene) -> str:
+    """What to do, in English."""
+    return f"Drive into the {scene.regions[0].colour} region."
 
 
 def validate(scene: Scene) -> str:
@@ -44,13 +40,14 @@ def validate(scene: Scene) -> str:
 TASK = Task(
     name="MoveToRegion",
     summary="Drive the robot into the goal region.",
+    rule="The score is 1 if the centre of the robot's body ends inside the goal region, else 0.",
     section="A.2.2",
     horizon=40,
     demo=DEMO,
     axes=Axis.JITTER | Axis.LAYOUT | Axis.COLOUR | Axis.DYNAMICS,
     randomise_fn=randomise,
-    program=PROGRAM,
-    score_fn=PROGRAM.score,
+    score_fn=score,
+    instruction_fn=instruction,
     max_blocks=0,
     max_regions=1,
     validate_fn=validate,

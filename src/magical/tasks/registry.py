@@ -5,15 +5,22 @@ import pkgutil
 import sys
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
 from difflib import get_close_matches
 from functools import partial
-from types import ModuleType
 from typing import Any, TypeVar
 
 from magical.errors import InvalidTaskError, PluginError, UnknownNameError
-from magical.plugins import import_user_module, load_plugin, plugins
+from magical.plugins import (
+    families,
+    family_of,
+    import_user_module,
+    is_offered,
+    load_family,
+    load_plugin,
+    plugins,
+)
 from magical.tasks.axes import VARIANTS
-from magical.tasks.programs.generated import generated_task, is_generated
 from magical.tasks.task import Task
 
 Item = TypeVar("Item")
@@ -26,11 +33,27 @@ _own: set[str] = set()  # the names of this package's
 _imported_from: dict[str, str] = {}  # the module by whose import a task was registered
 
 
+@dataclass(frozen=True, slots=True)
+class TaskFamily:
+    """Tasks that are made by their names, too many to list; an entry point named by a pattern.
+
+    Attributes:
+        make_fn: the task of a name that the pattern matches.
+        suites: tasks to report together, by the suite's name.
+    """
+
+    make_fn: Callable[[str], Task]
+    suites: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+
+    def __call__(self, name: str) -> Task:
+        """The task of this name."""
+        return self.make_fn(name)
+
+
 class _Tasks(Mapping[str, Task]):
     """Tasks by name: ours in the order of the appendix, then the others.
 
-    Generated tasks can be looked up, but iteration leaves them out, since there are too many.
-    Iteration imports no module of another distribution; looking up one of its tasks does.
+    Iteration leaves out families, whose tasks are too many, and imports no other distribution.
     """
 
     def __iter__(self) -> Iterator[str]:
@@ -40,21 +63,30 @@ class _Tasks(Mapping[str, Task]):
         return len({*_tasks, *plugins(GROUP)})
 
     def __contains__(self, name: object) -> bool:
-        return name in _tasks or name in plugins(GROUP) or is_generated(str(name))
+        return name in _tasks or is_offered(GROUP, str(name))
 
     def __getitem__(self, name: str) -> Task:
-        if is_generated(name):
-            return generated_task(name)
-        if name not in _tasks and name in plugins(GROUP):
-            task = _loaded(name)
-            if task.name != name:
-                raise PluginError(f"{GROUP}: expected the task {name!r}, found {task.name!r}")
+        if name in _tasks or name not in self:
+            return _tasks[name]
+        task = _loaded(name)
+        if task.name != name:
+            raise PluginError(f"{GROUP}: expected the task {name!r}, found {task.name!r}")
+        if name in plugins(GROUP):
             task.validate(task.demo)
             _tasks[name] = task
-        return _tasks[name]
+        return task
 
 
 TASKS: Mapping[str, Task] = _Tasks()
+
+
+def suites() -> dict[str, tuple[str, ...]]:
+    """The suites of the installed families of tasks: names of tasks, by the suite's name."""
+    found: dict[str, tuple[str, ...]] = {}
+    for pattern in families(GROUP):
+        if isinstance(family := load_family(GROUP, pattern), TaskFamily):
+            found.update(family.suites)
+    return found
 
 
 def register_task(task: Task) -> Task:
@@ -64,7 +96,7 @@ def register_task(task: Task) -> Task:
         InvalidTaskError: another task already has this name.
         InvalidSceneError: bodies of its Demo scene overlap, or reach out of the workspace.
     """
-    if is_generated(task.name) or _tasks.get(task.name, task) is not task:
+    if family_of(GROUP, task.name) or _tasks.get(task.name, task) is not task:
         raise InvalidTaskError(
             f"expected a new task name, found {task.name!r}, which is registered already; "
             "choose another"
@@ -75,14 +107,10 @@ def register_task(task: Task) -> Task:
 
 
 def unregister_task(name: str) -> Task:
-    """Remove a task from `TASKS` and return it.
-
-    Raises:
-        UnknownNameError: there is no such task, or it is a generated one.
-    """
+    """Remove a task from `TASKS` and return it; raises `UnknownNameError`, for a family's too."""
     task = get_task(name)
     if _tasks.pop(task.name, None) is None:
-        raise UnknownNameError(f"{task.name} is a generated task, which cannot be removed")
+        raise UnknownNameError(f"{task.name} is of a family of tasks, and cannot be removed")
     _imported_from.pop(task.name, None)
     return task
 
@@ -90,9 +118,7 @@ def unregister_task(name: str) -> Task:
 def get_task(name: str) -> Task:
     """The task with exactly this name.
 
-    Raises:
-        UnknownNameError: no task of this name is registered; the message lists the names.
-        PluginError: a task of another distribution cannot be imported, or is something else.
+    Raises `UnknownNameError` if there is none, `PluginError` if it cannot be imported.
     """
     if name in TASKS:
         return TASKS[name]
@@ -105,10 +131,7 @@ def get_task(name: str) -> Task:
 
 
 def importable_tasks() -> list[Task]:
-    """All tasks of `TASKS`, but those of other distributions that cannot be imported.
-
-    A warning says which are left out.
-    """
+    """All tasks of `TASKS`; a warning says which of other distributions cannot be imported."""
     tasks = []
     for name in TASKS:
         try:
@@ -122,50 +145,32 @@ def load_task(name: str) -> Task:
     """The task with a given name, or the one at `module:NAME`, which is imported and registered.
 
     Only for names that users give, never for those in entries, run folders and datasets, which may
-    come from anywhere.
-
-    Raises:
-        UnknownNameError: no task of this name is registered.
-        PluginError: the task cannot be found, or is something else.
-        InvalidTaskError: another task already has the name of the imported one.
+    come from anywhere. Raises `UnknownNameError`, `PluginError` or `InvalidTaskError`.
     """
     return register_task(_loaded(name)) if ":" in name else get_task(name)
 
 
 def possible_variants(name: str) -> tuple[str, ...]:
-    """The variants that a task has, or may have if it is not imported yet.
-
-    Raises:
-        UnknownNameError: there is no such task.
-    """
+    """The variants that a task has, or may have if it is not imported yet."""
     if name not in TASKS:
         get_task(name)  # raises
     return _tasks[name].variants if name in _tasks else tuple(VARIANTS)
 
 
 def load_tasks(modules: Iterable[str]) -> None:
-    """Import a user's modules in a new process and register the tasks that they hold."""
-    for module in modules:
-        register_tasks_of(import_user_module(module))
-
-
-def register_tasks_of(module: ModuleType) -> None:
-    """Register the tasks that a module holds, except those with names that are known already."""
-    for task in vars(module).values():
-        if isinstance(task, Task) and task.name not in TASKS:
-            register_task(task)
+    """Import a user's modules and register the tasks that they hold, but for known names."""
+    for name in modules:
+        for task in vars(import_user_module(name)).values():
+            if isinstance(task, Task) and task.name not in TASKS:
+                register_task(task)
 
 
 def import_tasks(name: str) -> None:
-    """Import a user's module, by its name or file, and register the tasks that it holds or makes.
-
-    Raises:
-        PluginError: it cannot be imported.
-    """
+    """As `load_tasks`, for a module whose import may register tasks; raises `PluginError`."""
     known = set(_tasks)
-    module = import_user_module(name)
-    register_tasks_of(module)
-    _imported_from.update(dict.fromkeys(set(_tasks) - known, module.__name__))
+    load_tasks([name])
+    module = import_user_module(name).__name__
+    _imported_from.update(dict.fromkeys(set(_tasks) - known, module))
 
 
 def defining_modules(tasks: Iterable[Task]) -> list[str]:
@@ -174,8 +179,7 @@ def defining_modules(tasks: Iterable[Task]) -> list[str]:
     The process finds tasks of entry points on its own. Raises `InvalidTaskError` for any other task
     that no importable module holds.
     """
-    known = {**plugins(GROUP), **dict.fromkeys(_own)}
-    others = [task for task in tasks if not is_generated(task.name) and task.name not in known]
+    others = [task for task in tasks if task.name not in _own and not is_offered(GROUP, task.name)]
     return sorted(set(map(_defining_module, others)))
 
 
@@ -205,8 +209,7 @@ def _with_tasks(work: Callable[[Item], Result], modules: Iterable[str], item: It
 
 def discover(package: str, path: Iterable[str]) -> None:
     """Register the `TASK` of every module in a package, in the order of the appendix's sections."""
-    names = [f"{package}.{module.name}" for module in pkgutil.iter_modules(path)]
-    modules = [importlib.import_module(name) for name in names]
+    modules = (importlib.import_module(f"{package}.{m.name}") for m in pkgutil.iter_modules(path))
     tasks = [module.TASK for module in modules if hasattr(module, "TASK")]
     for task in sorted(tasks, key=lambda task: (not task.section, task.section, task.name)):
         _own.add(task.name)

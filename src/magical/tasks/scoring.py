@@ -11,6 +11,7 @@ from magical.errors import InvalidSceneError
 from magical.scene import Poses, Region, Scene
 from magical.scene.geometry import Point
 
+SUCCESS = 0.5  # an episode is a success above this score, halfway through every graded rule
 INLIER_DISTANCE = 0.18  # units from a line, d_i (appendix A.2.4)
 NEIGHBOUR_DISTANCE = 0.42  # units along a line, d_c (appendix A.2.4)
 

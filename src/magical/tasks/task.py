@@ -7,22 +7,15 @@ from typing import Literal
 
 import numpy as np
 
-from magical.errors import (
-    InvalidProgramError,
-    InvalidSceneError,
-    InvalidTaskError,
-    PlacementError,
-    UnknownNameError,
-)
+from magical.errors import InvalidSceneError, InvalidTaskError, PlacementError, UnknownNameError
 from magical.scene import Dynamics, Poses, Scene
 from magical.tasks.axes import TEST_ALL, VARIANTS, Axis
 from magical.tasks.placement import Placement, sample_placement
-from magical.tasks.programs import Goal, instruction
-from magical.tasks.programs.validity import problem
 from magical.tasks.validation import validate_scene
 
 RandomiseFn = Callable[[Scene, Axis, np.random.Generator], Scene]
 ScoreFn = Callable[[Scene, Poses], float]
+InstructionFn = Callable[[Scene], str]
 ValidateFn = Callable[[Scene], str]
 MAX_SCENES = 1000  # sampled at most for one episode; the paper's tasks need only one
 
@@ -40,11 +33,11 @@ class Task:
     Raises:
         InvalidTaskError: fields that contradict each other.
         InvalidSceneError: a Demo scene that does not fit the task; registering it finds overlaps.
-        InvalidProgramError: a program with which no episode can start from the Demo scene.
     """
 
     name: str  # as in environment ids, for instance MoveToCorner
     summary: str  # one line: what the robot must do
+    rule: str = ""  # how final states are scored, in English; formulas are indented
     section: str = ""  # of the appendix; tasks are listed in its order, those without one last
     horizon: int  # control steps (appendix A.2)
     published_horizon: int | None = None  # the published code's, if different
@@ -54,13 +47,10 @@ class Task:
     placement: Placement = field(default_factory=Placement)  # how regions and blocks are placed
     score_fn: ScoreFn  # the appendix's score of a final state, 0 to 1
     published_score_fn: ScoreFn | None = None  # the published code's, if different (section 9)
+    instruction_fn: InstructionFn | None = None  # what to do, in English; by default the summary
     max_blocks: int  # over all variants
     max_regions: int  # over all variants
-    program: Goal | None = None  # what the task asks for, in the language of goals
-    # The reason why a scene does not fit, or "". The dense reward of a program means nothing in
-    # scenes for which `magical.tasks.programs.problem` gives a reason, and is NaN if there is no
-    # such place.
-    validate_fn: ValidateFn = _accept
+    validate_fn: ValidateFn = _accept  # the reason why a scene does not fit, or ""
 
     def __post_init__(self) -> None:
         if not self.name.isalnum():
@@ -76,8 +66,6 @@ class Task:
                 f"{self.name}: expected {needed} for the axis COUNT, found {self.axes}"
             )
         self._check_parts(self.demo)
-        if self.program is not None and (reason := problem(self.program, self.demo)):
-            raise InvalidProgramError(f"{self.name}: {reason}")
 
     @property
     def has_two_horizons(self) -> bool:
@@ -140,20 +128,9 @@ class Task:
         """As `score`, by the published code's rule (docs/specification.md, section 9)."""
         return (self.published_score_fn or self.score_fn)(scene, poses)
 
-    def instruction(self, scene: Scene, *, paraphrase: int = 0, attributes: bool = True) -> str:
-        """The English instruction for an episode that starts from `scene`.
-
-        Args:
-            scene: the initial scene.
-            paraphrase: index of the wording.
-            attributes: whether blocks and regions are named by colour and shape.
-
-        Returns:
-            The instruction of the task's program, or the task's summary if it has no program.
-        """
-        if self.program is None:
-            return self.summary
-        return instruction(self.program, scene, paraphrase=paraphrase, attributes=attributes)
+    def instruction(self, scene: Scene) -> str:
+        """The English instruction for an episode that starts from `scene`."""
+        return self.instruction_fn(scene) if self.instruction_fn else self.summary
 
     def validate(self, scene: Scene) -> None:
         """Check that an episode of this task can start from a scene.

@@ -1,5 +1,7 @@
 """The Cluster tasks' goals: plans that solve, and how enclosed blocks are priced."""
 
+from operator import attrgetter
+
 import numpy as np
 import pytest
 
@@ -8,7 +10,6 @@ from magical.experts.goals._clustering import ClusterLayout, Pricing
 from magical.scene import Block, Pose, Poses, Scene
 from magical.scene.geometry import Point
 from magical.tasks import get_task
-from magical.tasks.programs import Attribute
 from tests.experts.scenes import blocks_at, view_of
 
 STRATEGY = Strategy.sample(np.random.default_rng(0))
@@ -42,7 +43,7 @@ def test_plans_solve_the_task_and_leave_a_solved_one(task: str) -> None:
 
 def test_enclosed_blocks_are_hard_to_grasp_until_the_others_are_gone() -> None:
     scene = blocks_at((-0.82, 0.0), (-0.62, -0.14), (-0.62, 0.14), (-0.82, 0.28), (0.4, 0.0))
-    pricing = Pricing(ClusterLayout.from_view(view_of(scene), Attribute.COLOUR))
+    pricing = Pricing(ClusterLayout.from_view(view_of(scene), attrgetter("colour")))
     itself = np.eye(5, dtype=np.bool_)
     enclosed, free = pricing.grasp_costs_among(~itself), pricing.grasp_costs_among(itself)
     assert enclosed[0] > 10.0  # measured: of those, more than four in five are never grasped
@@ -63,7 +64,7 @@ def test_blocks_are_ranked_by_access_and_ties_by_order(sign: int) -> None:
         (-0.85, -0.4),
     )
     scene = blocks_at(*((x, sign * y) for x, y in places))
-    pricing = Pricing(ClusterLayout.from_view(view_of(scene), Attribute.COLOUR))
+    pricing = Pricing(ClusterLayout.from_view(view_of(scene), attrgetter("colour")))
     assert pricing.grasp_costs[0] == pytest.approx(pricing.grasp_costs[1])
     assert pricing.grasp_costs[0] > 10.0
     assert pricing.rank.tolist() == [4, 5, 0, 1, 2, 3]

@@ -19,14 +19,11 @@ from magical.experts import (
     goals,
     has_expert,
     register_planner,
-    rollout,
 )
 from magical.experts.goals import _file, _registered
-from magical.experts.goals._programs import program_planner
 from magical.physics import Simulation
 from magical.scene.actions import POINTS
 from magical.tasks import TASKS, get_task, register_task, unregister_task
-from magical.tasks.programs import Together
 from tests.experts.scenes import state_of
 
 
@@ -40,7 +37,7 @@ def test_every_file_of_goals_has_the_name_of_a_task() -> None:
 def drive_there() -> Iterator[str]:
     """A task from outside the package, without an expert."""
     region = get_task("MoveToRegion")
-    task = register_task(replace(region, name="DriveThere", section="", program=None))
+    task = register_task(replace(region, name="DriveThere", section=""))
     yield task.name
     unregister_task(task.name)
     _registered.pop(task.name, None)
@@ -55,27 +52,6 @@ def test_the_error_says_how_to_add_an_expert(drive_there: str) -> None:
     for name in (drive_there, "../DriveThere", "StackTower"):
         with pytest.raises(NoExpertError, match=message if name == drive_there else "no scripted"):
             get_planner(name)
-
-
-def test_a_task_with_a_program_has_the_programs_expert() -> None:
-    task = register_task(replace(get_task("MoveToCorner"), name="PushThere", section=""))
-    try:
-        assert has_expert(task.name)
-        assert rollout(task.name, "Demo", 0).score == 1.0
-    finally:
-        unregister_task(task.name)
-    assert not has_expert(task.name)
-
-
-def test_a_program_that_no_expert_knows_is_named() -> None:
-    first, second = (get_task(name).program for name in ("ClusterColour", "ClusterShape"))
-    assert first is not None
-    assert second is not None
-    planner = program_planner(Together(first, second))
-    scene = get_task("ClusterColour").demo
-    expert = replace(expert_for("ClusterColour", seed=0), planner=planner)
-    with pytest.raises(NoExpertError, match="no expert for Clustered"):
-        expert.act(state_of(Simulation(scene), scene))
 
 
 def test_a_task_from_outside_gets_its_expert(drive_there: str) -> None:

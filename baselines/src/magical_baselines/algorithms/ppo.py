@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from magical.envs.env import Reward
+from magical.envs.env import REWARDS, Reward
 from magical.errors import InvalidConfigError
 from magical.observe import STATE
 from magical.plugins import is_plugin
@@ -61,6 +61,9 @@ QUICK: Mapping[str, Any] = {
     "bootstrap": True,
     "evaluate_every": 50,
 }
+
+# The environment's rewards are sparser than a discriminator's and need a longer time scale.
+SPARSE: Mapping[str, Any] = {"minibatch_size": 128, "gamma": 0.95, "gae_lambda": 0.95}
 
 # What `published-code` changes where rewards are learned (docs/specification.md, section 11).
 PUBLISHED_CODE: Mapping[str, Any] = {
@@ -142,11 +145,13 @@ class PPOConfig(ReinforcementConfig):
     observations: ClassVar[tuple[str, ...]] = (*IMAGE_OBSERVATIONS, STATE)
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {},
-        # The environment's rewards are sparser than a discriminator's and need a longer time scale.
-        "quick": {**QUICK, "minibatch_size": 128, "gamma": 0.95, "gae_lambda": 0.95},
+        "quick": {**QUICK, **SPARSE},
+        # The dense reward, which magical-goals offers.
+        "dense": {**QUICK, **SPARSE, "reward": "dense"},
         # State vectors and the dense reward, on whose time scale an episode is short.
         "states": {
             **QUICK,
+            "reward": "dense",
             "observation": "state",
             "network": "paper",
             "total_steps": 1_500_000,
@@ -162,7 +167,7 @@ class PPOConfig(ReinforcementConfig):
     }
 
     algorithm: str = "ppo"
-    reward: str = option("dense", "the environment's reward", choices=("dense", "score"))
+    reward: str = option("score", "the environment's reward", choices=("score",), others=REWARDS)
 
     @property
     def learned_from(self) -> tuple[str, ...]:

@@ -15,13 +15,12 @@ from magical.scene import Poses, Scene
 from magical.scene.geometry import Point, to_workspace
 from magical.scene.poses import FIRST_BLOCK, ROBOT
 from magical.tasks import get_task
-from magical.tasks.programs import Goal, problem
-from magical.tasks.programs.states import Floats, States
 from magical_goals.intent.demonstrator import MOVE_COST
 from magical_goals.intent.meanings import Chosen, replace_selections
 from magical_goals.intent.posterior import Belief
-from magical_goals.objects.hindsight import ROBOT_TARGET
-from magical_goals.objects.table import GRIP
+from magical_goals.language.expressions import Floats
+from magical_goals.language.goals import Goal, States, problem
+from magical_goals.objects.control import GRIP, ROBOT_TARGET
 from magical_goals.planning.remaining import APART, BLOCK_ROOM
 from magical_goals.planning.routes import MOVED, Routes
 

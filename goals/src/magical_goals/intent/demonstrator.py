@@ -14,8 +14,8 @@ from scipy.stats import qmc
 from magical.scene import Poses, Scene
 from magical.scene.constants import WORKSPACE_HALF
 from magical.scene.poses import FIRST_BLOCK, ROBOT
-from magical.tasks.programs import Goal
-from magical.tasks.programs.states import Floats, States
+from magical_goals.language.expressions import Floats
+from magical_goals.language.goals import Goal, States
 
 RATIONALITY = 8.0  # nats per unit of work
 SLIPS = 0.2  # probability of a slip in each state

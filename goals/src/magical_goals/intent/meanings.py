@@ -12,30 +12,32 @@ from itertools import combinations, product
 from typing import TypeVar, cast
 
 from magical.scene import Scene
-from magical.tasks.programs import (
+from magical_goals.language.expressions import (
     AllBlocks,
     AllBut,
     And,
     Attribute,
     Beside,
+    Blocks,
+    Expression,
+    Or,
+    Place,
+    Selection,
+)
+from magical_goals.language.goals import (
     Clustered,
     Each,
     Every,
     Exactly,
-    Expression,
     Goal,
     Lined,
     OneOf,
     Only,
-    Or,
-    Place,
     RobotInside,
-    Selection,
     Together,
     Undisturbed,
 )
-from magical.tasks.programs.prior import bits_of_part, choice, simple_expressions
-from magical.tasks.programs.selections import Blocks
+from magical_goals.language.parsing import bits_of_part, choice, simple_expressions
 
 Named = tuple[Blocks, ...]  # the blocks that a selection names in each scene
 AnyExpression = TypeVar("AnyExpression", bound=Expression)
@@ -166,7 +168,7 @@ def outer_selections(expression: Expression) -> Iterator[Selection]:
     if isinstance(expression, Selection):
         yield expression
         return
-    for part in expression.values:
+    for part in expression.arguments:
         if isinstance(part, Expression):
             yield from outer_selections(part)
 
@@ -180,6 +182,6 @@ def replace_selections(
     return type(expression)(
         *(
             replace_selections(part, replace) if isinstance(part, Expression) else part
-            for part in expression.values
+            for part in expression.arguments
         )
     )

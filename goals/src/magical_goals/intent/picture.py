@@ -12,8 +12,8 @@ from magical.scene import Poses
 from magical.tasks import get_task
 from magical_goals.intent.acting import BORDER, CELLS, Intention
 from magical_goals.intent.posterior import Belief
-from magical_goals.objects.components import VIEW_HALF
-from magical_goals.objects.hindsight import ROBOT_TARGET
+from magical_goals.objects.control import ROBOT_TARGET
+from magical_goals.objects.parser import VIEW_HALF
 
 COLUMNS = 4
 SIZE, HEADING = 3.0, 0.5  # inches: the side of a scene, the height of its heading

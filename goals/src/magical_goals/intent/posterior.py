@@ -15,9 +15,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import expit
 
-from magical.tasks.programs import Goal
 from magical_goals.intent.demonstrator import Episode
 from magical_goals.intent.meanings import Language, Meaning
+from magical_goals.language import Goal
 
 FIRST_PASS = 150  # best meanings by the first demonstration, which are scored on all
 BEAM = 24  # meanings that are combined with each other

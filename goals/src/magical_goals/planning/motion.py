@@ -16,8 +16,8 @@ from scipy.optimize import least_squares
 
 from magical.experts.geometry import wrap_angle
 from magical.scene.actions import to_continuous
+from magical_goals.objects.control import GRIP
 from magical_goals.objects.data import ParsedDemonstration
-from magical_goals.objects.table import GRIP
 
 MOST = 0.9  # share of the demonstrated grasps within the limits
 SPEEDS, SPINS = np.array([-0.1, 0.0, 0.1]), np.array([-0.3, 0.0, 0.3])  # units, rad per step

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from magical.experts.geometry import ROBOT_LIMIT, excess
 from magical.scene import NOOP
 from magical.scene.actions import ACTIONS, Action, Gripper, to_continuous
-from magical_goals.objects.hindsight import ROBOT_TARGET
+from magical_goals.objects.control import ROBOT_TARGET
 from magical_goals.planning.kernels import compiled_roll_out
 from magical_goals.planning.motion import Floats, Motion, from_robot, robot_steps, to_robot
 from magical_goals.planning.remaining import (

@@ -20,13 +20,11 @@ class MagicalEnvConfig(EnvConfig):  # type: ignore[misc]
     Attributes:
         task: such as `MoveToCorner-TestColour-v0`.
         size: of the images in pixels.
-        instruction: "attributes" names colours and shapes in the instruction, "task" does not.
     """
 
     task: str | None = "MoveToCorner-Demo-v0"
     fps: int = int(CONTROL_RATE)
     size: int = 96
-    instruction: str = "attributes"
     features: dict[str, Any] = field(default_factory=dict)
     features_map: dict[str, str] = field(
         default_factory=lambda: {
@@ -57,4 +55,4 @@ class MagicalEnvConfig(EnvConfig):  # type: ignore[misc]
     @property
     def gym_kwargs(self) -> dict[str, Any]:
         """Arguments of `LeRobotMagicalEnv`."""
-        return {"env_id": self.task, "size": self.size, "instruction": self.instruction}
+        return {"env_id": self.task, "size": self.size}

@@ -25,7 +25,6 @@ class LeRobotMagicalEnv(gymnasium.Env[dict[str, Any], Any]):
     Args:
         env_id: such as `MoveToCorner-Demo-v0`.
         size: of the images in pixels.
-        instruction: "attributes" names colours and shapes in the instruction, "task" does not.
         render_mode: "rgb_array" or None.
     """
 
@@ -38,7 +37,6 @@ class LeRobotMagicalEnv(gymnasium.Env[dict[str, Any], Any]):
         self,
         env_id: str,
         size: int = 96,
-        instruction: Any = "attributes",
         render_mode: str | None = "rgb_array",
     ) -> None:
         parsed: EnvId = parse_env_id(env_id if "/" in env_id else f"magical/{env_id}")
@@ -48,7 +46,6 @@ class LeRobotMagicalEnv(gymnasium.Env[dict[str, Any], Any]):
             observation=ViewsAndRobot(size),
             reward="score",
             render_mode=render_mode,
-            instruction=instruction,
             action_space="continuous",
         )
         self._env = made.unwrapped

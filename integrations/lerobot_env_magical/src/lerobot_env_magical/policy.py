@@ -21,7 +21,7 @@ from magical.errors import PolicyError
 class LeRobotPolicy:
     """A trained policy of LeRobot, shown what `lerobot-eval` shows it, on the CPU.
 
-    Its instruction is the task's without colours and shapes. All environments of a batch begin
+    Its instruction is the task's summary. All environments of a batch begin
     their episodes together.
 
     Args:
@@ -64,15 +64,10 @@ class LeRobotPolicy:
         batch = preprocess_observation(
             {"pixels": pixels, ROBOT_STATE: observations[ROBOT_STATE].copy()}
         )
-        batch["task"] = [_instruction(env_id) for env_id in env_ids]
+        batch["task"] = [parse_env_id(env_id).task_spec.summary for env_id in env_ids]
         with torch.inference_mode():
             actions = self._after(self._policy.select_action(self._before(batch)))
         return np.clip(actions.numpy(), -1, 1)
-
-
-def _instruction(env_id: EnvId) -> str:
-    task = parse_env_id(env_id).task_spec
-    return task.instruction(task.demo, attributes=False)
 
 
 def _require_known_features(path: str, found: dict[str, PolicyFeature]) -> None:

@@ -35,7 +35,6 @@ class MagicalBenchmark(StepBenchmark):  # type: ignore[misc]
         variants: such as `Demo` and `TestColour` (default: all that the tasks have).
         seed: of the evaluation; episodes are those of `magical evaluate` with the same seed.
         size: of the images in pixels.
-        instruction: "attributes" names colours and shapes in the instruction, "task" does not.
     """
 
     _ALL_RECORD_FIELDS = frozenset({"done", "score"})
@@ -53,7 +52,6 @@ class MagicalBenchmark(StepBenchmark):  # type: ignore[misc]
         variants: Sequence[str] | None = None,
         seed: int = 0,
         size: int = 96,
-        instruction: str = "attributes",
     ) -> None:
         super().__init__()
         self._ids = environments(tasks, variants)
@@ -61,7 +59,6 @@ class MagicalBenchmark(StepBenchmark):  # type: ignore[misc]
         self._options: dict[str, Any] = {
             "action_space": "continuous",
             "observation": PixelSpec(tuple((v, 1) for v in VIEWS), separate=True, size=size),
-            "instruction": instruction,
         }
         self._env: Any = None
         self._instruction = ""

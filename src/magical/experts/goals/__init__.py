@@ -2,8 +2,8 @@
 
 A task of this package in `magical/tasks/<file>.py` has its goals in `<file>.py` here, a module
 that ends with `PLANNER = Planner(...)`. Other packages provide theirs by entry points in the group
-`magical.experts`, named after the task, or call `register_planner`. A task without any of these
-that has a program gets the expert for programs.
+`magical.experts`, named after the task (or by a pattern, a function from a task's name to its
+planner), or call `register_planner`.
 """
 
 import importlib
@@ -12,10 +12,8 @@ from importlib.util import find_spec
 
 from magical.errors import NoExpertError, PluginError
 from magical.experts.planning import Planner
-from magical.plugins import load_plugin, plugins
+from magical.plugins import is_offered, load_plugin
 from magical.tasks import TASKS
-from magical.tasks.programs import Goal
-from magical.tasks.programs.generated import is_generated
 
 __all__ = ["get_planner", "has_expert", "register_planner"]
 
@@ -49,12 +47,8 @@ def get_planner(task: str) -> Planner:
     planner: Planner
     if _is_ours(task):
         planner = importlib.import_module(f"{__name__}.{_file(task)}").PLANNER
-    elif task in plugins(GROUP):
+    elif is_offered(GROUP, task):
         planner = load_plugin(GROUP, task)
-    elif (program := _program(task)) is not None:
-        from magical.experts.goals._programs import program_planner
-
-        return program_planner(program)
     else:
         known = ", ".join(name for name in TASKS if has_expert(name))
         raise NoExpertError(
@@ -68,18 +62,7 @@ def get_planner(task: str) -> Planner:
 
 def has_expert(task: str) -> bool:
     """Whether a task has a scripted expert; another package's is not imported."""
-    if task in _registered or _is_ours(task) or task in plugins(GROUP) or is_generated(task):
-        return True
-    if (program := _program(task)) is None:
-        return False
-    from magical.experts.goals._programs import is_planned
-
-    return is_planned(program)
-
-
-def _program(task: str) -> Goal | None:
-    """What a task asks for in the language of goals, if there is such a task and it says so."""
-    return TASKS[task].program if task in TASKS else None
+    return task in _registered or _is_ours(task) or is_offered(GROUP, task)
 
 
 def _is_ours(task: str) -> bool:

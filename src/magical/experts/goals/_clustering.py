@@ -7,7 +7,7 @@ that make room around enclosed blocks.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,8 +25,8 @@ from magical.experts.goals._moves import DISTANCE_COST, MOVE_COST, place_costs
 from magical.experts.grasp import make_mutual_grasps
 from magical.experts.planning import Move, MovePlan, Planner, Strategy
 from magical.experts.state_view import StateView
+from magical.scene import Block
 from magical.scene.geometry import lengths
-from magical.tasks.programs import Attribute, value_of
 from magical.tasks.scoring import centroid_distances
 
 # When blocks count as clustered, and which anchors are considered.
@@ -60,6 +60,9 @@ _ANGLES = 2 * math.pi * np.arange(RING_PLACES) / RING_PLACES
 _RING = BLOCK_SPACING * np.stack((np.cos(_ANGLES), np.sin(_ANGLES)), axis=-1)  # (ring places, 2)
 
 
+ValueFn = Callable[[Block], str]
+
+
 @dataclass(frozen=True, slots=True)
 class ClusterLayout:
     """Where n blocks come to rest, and their groups: the values of the clustered attribute."""
@@ -69,9 +72,9 @@ class ClusterLayout:
     values: Sequence[str]  # each block's value of the clustered attribute
 
     @staticmethod
-    def from_view(view: StateView, attribute: Attribute) -> "ClusterLayout":
-        """The current blocks, grouped by an attribute."""
-        values = [value_of(block, attribute) for block in view.scene.blocks]
+    def from_view(view: StateView, value_of: ValueFn) -> "ClusterLayout":
+        """The current blocks, grouped by their values."""
+        values = list(map(value_of, view.scene.blocks))
         _, group = np.unique(values, return_inverse=True)
         return ClusterLayout(np.array(view.resting_blocks), group, values)
 
@@ -95,11 +98,11 @@ class ClusterLayout:
         return self.groups < 2 or bool(ratios.max() < limit)
 
 
-def cluster_planner(attribute: Attribute) -> Planner:
-    """The planner of a task that clusters blocks by an attribute."""
+def cluster_planner(value_of: ValueFn) -> Planner:
+    """The planner of a task that clusters blocks by a value, such as their colour."""
 
     def plan(view: StateView, strategy: Strategy, last: MovePlan) -> MovePlan:
-        layout = ClusterLayout.from_view(view, attribute)
+        layout = ClusterLayout.from_view(view, value_of)
         if layout.is_clustered(SOLVED_RATIO if last.moves else LASTING_RATIO):
             return MovePlan()
         pricing = Pricing(layout)
@@ -109,7 +112,7 @@ def cluster_planner(attribute: Attribute) -> Planner:
         return MovePlan(tuple(moves), tuple((x, y) for x, y in anchors.tolist()))
 
     def is_solved(view: StateView) -> bool:
-        return ClusterLayout.from_view(view, attribute).is_clustered(SOLVED_RATIO)
+        return ClusterLayout.from_view(view, value_of).is_clustered(SOLVED_RATIO)
 
     return Planner(plan, is_solved)
 

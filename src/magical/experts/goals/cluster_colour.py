@@ -1,6 +1,7 @@
 """Goals of ClusterColour: clusters of the same colour (appendix A.2.7)."""
 
-from magical.experts.goals._clustering import cluster_planner
-from magical.tasks.programs import Attribute
+from operator import attrgetter
 
-PLANNER = cluster_planner(Attribute.COLOUR)
+from magical.experts.goals._clustering import cluster_planner
+
+PLANNER = cluster_planner(attrgetter("colour"))

@@ -19,11 +19,11 @@ from magical.runs.sources import (
     learned_from,
     learning_class,
 )
-from magical.tasks import TASKS
+from magical.tasks import TASKS, suites
 from magical.tasks.axes import DEMO, TEST_ALL
-from magical.tasks.programs.suite import HELD_OUT, TRAINING, task_name
 
-ALL_TASKS, HELD_OUT_TASKS = "All tasks", "Held-out tasks"
+ALL_TASKS = "All tasks"
+HELD_OUT_TASKS, TRAINING_TASKS = "Held-out tasks", "Training tasks"  # suites of magical-goals
 WITH_PRIOR = ", with a benchmark prior"  # suffix of a board's name
 DEMOS = 10  # demonstrations of a held-out task, without pre-training
 FINE_TUNED = (1, 5, 10)  # demonstrations of a held-out task, after pre-training
@@ -108,7 +108,7 @@ def make_boards(results: Sequence[Result]) -> list[Board]:
         others = [row for row in standings if row not in prior]
         return [Board(name, _ranked(others)), Board(name + WITH_PRIOR, _ranked(prior))]
 
-    held_out = [task_name(number) for number in HELD_OUT]
+    held_out = suites().get(HELD_OUT_TASKS, ())
     tracks = [HELD_OUT_TASKS, *map(pretrained_board, FINE_TUNED)]
     first, *rest = boards(ALL_TASKS, published_tasks())
     for name in tracks:
@@ -138,7 +138,7 @@ def held_out_board(runs: Sequence[Result]) -> str:
     if not any(PRETRAINED_ON in stated for stated in details):
         extra = any(EXTRA_DATA in learned_from(stated) for stated in details)
         return HELD_OUT_TASKS if numbers <= {DEMOS, None} and not extra else ""
-    allowed = {task_name(number) for number in TRAINING}
+    allowed = set(suites().get(TRAINING_TASKS, ()))
     before = [stated.get(PRETRAINED_ON) for stated in details]
     if not all(isinstance(tasks, list) and allowed.issuperset(map(str, tasks)) for tasks in before):
         return ""

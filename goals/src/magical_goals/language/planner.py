@@ -1,4 +1,4 @@
-"""Moves for any program in the language of goals."""
+"""The scripted expert for any program: the moves that its goals ask for."""
 
 import math
 from collections.abc import Iterator
@@ -15,22 +15,20 @@ from magical.experts.state_view import StateView
 from magical.scene import Poses
 from magical.scene.geometry import Point
 from magical.scene.poses import FIRST_BLOCK
-from magical.tasks.programs import (
+from magical_goals.language.expressions import InOwnColour, InRegion, OutOfRegions, Place, value_of
+from magical_goals.language.goals import (
     Clustered,
     Each,
     Every,
     Exactly,
     Goal,
-    InOwnColour,
-    InRegion,
     Lined,
     OneOf,
     Only,
-    OutOfRegions,
-    Place,
     Together,
     Undisturbed,
 )
+from magical_goals.language.programs import program_of
 
 MARGIN = 0.06  # units within a corner, wall zone or neighbourhood to aim for
 TOLERANCE = 0.06  # units
@@ -38,17 +36,16 @@ PLACED = Each | Every | OneOf  # goals that blocks are at places
 AROUND = MARGIN * np.array([(1, 0), (-1, 0), (0, 1), (0, -1)])  # (4, 2)
 
 
+def planner_of(task: str) -> Planner:
+    """The planner of a task that has a program."""
+    return program_planner(program_of(task))
+
+
 def program_planner(program: Goal) -> Planner:
-    """The planner of a task that is defined by a program."""
+    """The planner for a program."""
     if isinstance(program, Clustered):
-        return cluster_planner(program.attribute)
+        return cluster_planner(partial(value_of, attribute=program.attribute))
     return Planner(partial(plan, program), partial(is_solved, program))
-
-
-def is_planned(program: Goal) -> bool:
-    """Whether there are moves for all goals of a program."""
-    whole = isinstance(program, Clustered | Lined)
-    return whole or all(isinstance(goal, PLACED | Undisturbed) for goal in _goals(program))
 
 
 def plan(program: Goal, view: StateView, strategy: Strategy, last: MovePlan) -> MovePlan:

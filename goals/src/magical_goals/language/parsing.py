@@ -1,20 +1,30 @@
-"""Parsing of programs: the text that `repr` prints is read back without evaluating anything."""
+"""Programs as text, and how probable they are before any demonstration.
+
+The text that `repr` prints is read back without evaluating anything. A program is written by
+choosing an expression for each slot, and the words within it. Every choice is uniform, so a program
+of b bits has probability 2**-b: the shorter, the more probable.
+"""
 
 import ast
-from collections.abc import Mapping
+import math
+from collections.abc import Iterator, Mapping
+from enum import StrEnum
+from itertools import product
+from typing import TypeVar
 
 from magical.errors import InvalidProgramError
 from magical.messages import quoted
-from magical.tasks.programs import goals, places, selections
-from magical.tasks.programs.expressions import Expression
-from magical.tasks.programs.goals import Goal
+from magical_goals.language import expressions, goals
+from magical_goals.language.expressions import Expression, Place, Selection, field_types
+from magical_goals.language.goals import Goal
+
+Kind = TypeVar("Kind", bound=Expression)
 
 MAX_TEXT = 5000  # characters
-
-KINDS: tuple[type[Expression], ...] = (selections.Selection, places.Place, Goal)
+KINDS: tuple[type[Expression], ...] = (Selection, Place, Goal)
 VOCABULARY: Mapping[str, type[Expression]] = {
     name: kind
-    for module in (selections, places, goals)
+    for module in (expressions, goals)
     for name, kind in vars(module).items()
     if isinstance(kind, type)
     and issubclass(kind, KINDS)
@@ -68,3 +78,23 @@ def _expression(node: ast.expr) -> Expression | str:
         return kind(*values)
     except TypeError as error:  # too few or too many arguments
         raise InvalidProgramError(f"expression {quoted(text)}: {error}") from error
+
+
+def bits_of_part(part: Expression) -> float:
+    """Bits of an expression and its words, without the expressions within it."""
+    kinds = field_types(type(part)).values()
+    return choice(type(part)) + sum(math.log2(len(k)) for k in kinds if issubclass(k, StrEnum))
+
+
+def choice(kind: type[Expression]) -> float:
+    """The bits of the choice of a kind of selection, place or goal."""
+    base = next(base for base in KINDS if issubclass(kind, base))
+    return math.log2(sum(issubclass(other, base) for other in VOCABULARY.values()))
+
+
+def simple_expressions(base: type[Kind]) -> Iterator[Kind]:
+    """All expressions of a kind whose fields, if any, are all words."""
+    for kind in VOCABULARY.values():
+        words = field_types(kind).values()
+        if issubclass(kind, base) and all(issubclass(word, StrEnum) for word in words):
+            yield from (kind(*values) for values in product(*words))

@@ -16,11 +16,8 @@ from magical.grouping import group_by
 from magical.scene import Poses, Scene
 from magical.scene.constants import BLOCK_SIZE, ROBOT_RADIUS
 from magical.scene.geometry import Point, lengths, to_workspace
-from magical.tasks.programs.expressions import Attribute, Expression
-from magical.tasks.programs.places import InRegion, OutOfRegions, Place, distances_to_regions
-from magical.tasks.programs.selections import AllBlocks, AllBut, Blocks, Selection, value_of
-from magical.tasks.programs.states import Floats, States
-from magical.tasks.programs.wording import Style, describe, name_regions, stay
+from magical.scene.poses import FIRST_BLOCK, ROBOT
+from magical.tasks.clustering import NO_SCORE
 from magical.tasks.scoring import (
     INLIER_DISTANCE,
     NEIGHBOUR_DISTANCE,
@@ -28,12 +25,66 @@ from magical.tasks.scoring import (
     longest_line,
     positions,
 )
+from magical_goals.language.expressions import (
+    AllBlocks,
+    AllBut,
+    Attribute,
+    Blocks,
+    Expression,
+    Floats,
+    InRegion,
+    OutOfRegions,
+    Place,
+    Selection,
+    describe,
+    distances_to_regions,
+    name_regions,
+    stay,
+    value_of,
+)
 
 SUCCESS = 0.5  # a final state is a success above this score, halfway through every graded rule
-CLUSTER_NO_SCORE = 0.5  # fraction of blocks clustered up to which the score is 0 (appendix A.2.7)
 UNFINISHED = 0.5  # fixed cost in `progress` of every block that must move, in units
-MOVE = ("Push", "Move", "Bring")  # one for each paraphrase
-KEEP = ("Keep", "Leave", "Hold")
+
+
+class States:
+    """P states of an episode with N blocks.
+
+    Attributes:
+        scene: the episode's initial scene.
+        robot: (P, 2) the robot's position, in units.
+        points: (P, N, 2) the blocks' centres, in units.
+    """
+
+    def __init__(self, scene: Scene, bodies: Floats) -> None:
+        """Take poses (P, 5 + N, 3) as in `Poses.bodies`."""
+        self.scene = scene
+        self.robot, self.points = bodies[:, ROBOT, :2], bodies[:, FIRST_BLOCK:, :2]
+        self._units: dict[Place, Floats] = {}
+        self._parts: dict[Goal, Floats] = {}
+
+    def units(self, place: Place) -> Floats:
+        """Distances (P, N), in units, that blocks still have to move to a place; computed once."""
+        if place not in self._units:
+            self._units[place] = place.remaining(self.scene, self.points)
+        return self._units[place]
+
+    def ways_of_part(self, goal: "Goal") -> Floats:
+        """A goal's ways, cached because several goals may share a part."""
+        if goal not in self._parts:
+            self._parts[goal] = goal.ways(self)
+        return self._parts[goal]
+
+    def work(self, goal: "Goal") -> Floats:
+        """The least work, in units, that any way to reach a goal leaves: (P,)."""
+        work: Floats = goal.ways(self).sum(axis=2).min(axis=1)
+        return work
+
+    def best_way(self, goal: "Goal") -> Floats:
+        """The work that the best way leaves for each block and, last, the robot: (P, N + 1)."""
+        ways = goal.ways(self)
+        best: Floats = ways[np.arange(len(ways)), ways.sum(axis=2).argmin(axis=1)]
+        return best
 
 
 @dataclass(frozen=True, repr=False)
@@ -56,8 +107,8 @@ class Goal(Expression):
         """The blocks that the goal is about, by default none."""
         return frozenset()
 
-    def sentence(self, scene: Scene, style: Style) -> str:
-        """The goal as an English sentence; see `instruction`."""
+    def instruction(self, scene: Scene) -> str:
+        """The goal in English, for an episode that starts from the scene."""
         raise NotImplementedError
 
 
@@ -85,11 +136,11 @@ class _Placed(_OfBlocks):
         units = states.units(self.place)[:, chosen]
         return _one_way(states, chosen, units, units > 0.0)
 
-    def sentence(self, scene: Scene, style: Style) -> str:
-        what = describe(self.selection, scene, style)
+    def instruction(self, scene: Scene) -> str:
+        what = describe(self.selection, scene)
         if not ways_at_start(self, scene).any(axis=1).all():
-            return f"{style.of(KEEP)} {what} {stay(what, self.moved(scene))}."
-        return f"{style.of(MOVE)} {what} {self.place.phrase(scene, style)}."
+            return f"Keep {what} {stay(what, self.moved(scene))}."
+        return f"Push {what} {self.place.phrase(scene)}."
 
 
 class Each(_Placed):
@@ -121,15 +172,15 @@ class OneOf(_Placed):
         shortest = ways.sum(axis=2, keepdims=True).min(axis=1, keepdims=True)
         return np.where(shortest > 0.0, ways, 0.0)  # once one is there, nothing is left
 
-    def sentence(self, scene: Scene, style: Style) -> str:
+    def instruction(self, scene: Scene) -> str:
         chosen = self.selection.blocks(scene)
-        if len(chosen) == 1 and style.attributes:
-            return super().sentence(scene, style)
+        if len(chosen) == 1:
+            return super().instruction(scene)
         kinds = {value_of(scene.blocks[i], Attribute.KIND) for i in chosen}
         what = re.sub("every block|all blocks", "a block", self.selection.phrase)
-        if style.attributes and len(kinds) == 1:
+        if len(kinds) == 1:
             what = f"one {kinds.pop()}"
-        return f"{style.of(MOVE)} {what} {self.place.phrase(scene, style)}."
+        return f"Push {what} {self.place.phrase(scene)}."
 
 
 class Only(_OfBlocks):
@@ -146,9 +197,8 @@ class Only(_OfBlocks):
     def moved(self, scene: Scene) -> Blocks:
         return frozenset()
 
-    def sentence(self, scene: Scene, style: Style) -> str:
-        place = name_regions(scene, style, "any")
-        return f"{style.of(KEEP)} all other blocks out of {place}."
+    def instruction(self, scene: Scene) -> str:
+        return f"Keep all other blocks out of {name_regions(scene, 'any')}."
 
     @cached_property
     def others(self) -> Each:
@@ -165,8 +215,8 @@ class Exactly(_OfBlocks):
     def ways(self, states: States) -> Floats:
         return self.both.ways(states)
 
-    def sentence(self, scene: Scene, style: Style) -> str:
-        return self.both.sentence(scene, style)
+    def instruction(self, scene: Scene) -> str:
+        return self.both.instruction(scene)
 
     @cached_property
     def both(self) -> "Together":
@@ -191,9 +241,9 @@ class Undisturbed(_OfBlocks):
     def moved(self, scene: Scene) -> Blocks:
         return frozenset()
 
-    def sentence(self, scene: Scene, style: Style) -> str:
-        what = describe(self.selection, scene, style)
-        return f"{style.of(KEEP)} {what} {stay(what, self.selection.blocks(scene))}."
+    def instruction(self, scene: Scene) -> str:
+        what = describe(self.selection, scene)
+        return f"Keep {what} {stay(what, self.selection.blocks(scene))}."
 
     def _changes(self, scene: Scene, points: Floats) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Whether blocks at points (..., N, 2) left each region, or entered it: (..., N, R) each.
@@ -225,9 +275,8 @@ class Lined(_OfBlocks):
         ways[..., chosen] = np.where(units > 0.0, UNFINISHED + units, 0.0)
         return ways
 
-    def sentence(self, scene: Scene, style: Style) -> str:
-        verb = style.of(("Arrange", "Put", "Place"))
-        return f"{verb} {describe(self.selection, scene, style)} in a line."
+    def instruction(self, scene: Scene) -> str:
+        return f"Arrange {describe(self.selection, scene)} in a line."
 
 
 @dataclass(frozen=True, repr=False)
@@ -239,7 +288,7 @@ class Clustered(Goal):
     def score(self, scene: Scene, poses: Poses) -> float:
         own, other = self.distances(scene, poses)
         fraction = float(np.mean(own < other / 3))
-        return max(0.0, fraction - CLUSTER_NO_SCORE) / (1.0 - CLUSTER_NO_SCORE)
+        return max(0.0, fraction - NO_SCORE) / (1.0 - NO_SCORE)
 
     def ways(self, states: States) -> Floats:
         scene, blocks = states.scene, range(len(states.scene.blocks))
@@ -257,9 +306,8 @@ class Clustered(Goal):
     def moved(self, scene: Scene) -> Blocks:
         return AllBlocks().blocks(scene)
 
-    def sentence(self, scene: Scene, style: Style) -> str:
-        verb = style.of(("Push", "Move", "Sort"))
-        return f"{verb} the blocks into clusters of the same {self.attribute.words}."
+    def instruction(self, scene: Scene) -> str:
+        return f"Push the blocks into clusters of the same {self.attribute.words}."
 
     def distances(self, scene: Scene, poses: Poses) -> tuple[Floats, Floats]:
         """Squared distances of blocks to own and other centroids; see `centroid_distances`."""
@@ -279,9 +327,8 @@ class RobotInside(Goal):
         units = InRegion().remaining(states.scene, states.robot[:, None])  # (P, 1)
         return _one_way(states, [-1], units, units > 0.0)
 
-    def sentence(self, scene: Scene, style: Style) -> str:
-        verb = style.of(("Drive", "Go", "Move"))
-        return f"{verb} {InRegion().phrase(scene, style)}."
+    def instruction(self, scene: Scene) -> str:
+        return f"Drive {InRegion().phrase(scene)}."
 
 
 @dataclass(frozen=True, repr=False)
@@ -303,9 +350,8 @@ class Together(Goal):
     def moved(self, scene: Scene) -> Blocks:
         return self.first.moved(scene) | self.second.moved(scene)
 
-    def sentence(self, scene: Scene, style: Style) -> str:
-        first, second = (goal.sentence(scene, style) for goal in (self.first, self.second))
-        return f"{first} {second}"
+    def instruction(self, scene: Scene) -> str:
+        return f"{self.first.instruction(scene)} {self.second.instruction(scene)}"
 
 
 def _one_way(
@@ -349,18 +395,27 @@ def _units_to_lines(points: Floats) -> Floats:
     return units
 
 
-def instruction(goal: Goal, scene: Scene, *, paraphrase: int = 0, attributes: bool = True) -> str:
-    """A goal in a scene as an English instruction.
+def problem(goal: Goal, scene: Scene) -> str:
+    """Why no episode can start from the scene with this goal, or an empty string."""
+    for part in goal.parts:
+        if isinstance(part, Selection) and not part.blocks(scene):
+            return f"{part!r} selects no block of the scene"
+        if isinstance(part, Goal) and (reason := _unreachable(part, scene)):
+            return f"{part!r}: {reason}"
+    if goal.score(scene, Poses.at_rest(scene)) > SUCCESS:
+        return f"{goal!r} is solved at the start"
+    return ""
 
-    Args:
-        goal: what should be done.
-        scene: the initial scene.
-        paraphrase: index of the wording; there are `len(MOVE)`, after which they repeat.
-        attributes: whether blocks and regions are named by their colours and shapes, as in "Push
-            the yellow pentagon that is outside into the yellow region."; otherwise only by what the
-            task is about, as in "Push a block that is outside and looks like one inside ...".
-    """
-    return goal.sentence(scene, Style(paraphrase, attributes))
+
+def _unreachable(goal: Goal, scene: Scene) -> str:
+    """Why no final state of the scene can reach the goal, or an empty string."""
+    if isinstance(goal, Clustered):
+        kinds = {value_of(block, goal.attribute) for block in scene.blocks}
+        return "" if len(kinds) > 1 else "expected blocks of at least two values, found fewer"
+    if isinstance(goal, Together):
+        return ""
+    reachable = np.isfinite(ways_at_start(goal, scene)).all(axis=1).any()
+    return "" if reachable else "there is no such place in the scene"
 
 
 def progress(goal: Goal, scene: Scene, poses: Poses) -> float:
