@@ -26,8 +26,8 @@ from magical_baselines import train
 from magical_baselines.algorithms.ppo import ReinforcementConfig
 from magical_baselines.experiments.plan import PlannedRun, planned_runs, read_plan
 from magical_baselines.experiments.results import opened
-from magical_baselines.running.checkpoints import load_checkpoint
-from magical_baselines.running.devices import cpu_threads
+from magical_baselines.checkpoints import load_checkpoint
+from magical_baselines.compute import cpu_threads
 
 CURVE = "layout.csv"  # in a run's folder: environment steps, mean score
 
@@ -37,7 +37,7 @@ def follow(run: PlannedRun, folder: Path, demos: Path, evaluation: Evaluation, e
     config = run.config.replace(demos=str(demos))
     if not isinstance(config, ReinforcementConfig):
         raise SystemExit(f"{run}: {run.config.algorithm} takes no environment steps")
-    each, total = config.ppo.steps_per_update, config.num_updates
+    each, total = config.steps_per_update, config.num_updates
     while (step := read_step(folder)) < total:
         stage = max(1, every // each)
         left = min(stage - step % stage, total - step)

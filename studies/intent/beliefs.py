@@ -7,7 +7,7 @@ import argparse
 from pathlib import Path
 
 from magical.tasks import TASKS, get_task
-from magical_baselines.data.expert_data import sample_demonstrations
+from magical_baselines.data import sample_demonstrations
 from magical_goals.intent.picture import draw_beliefs
 from magical_goals.intent.posterior import Belief
 from magical_goals.objects.data import parse_demonstrations

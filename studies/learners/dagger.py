@@ -49,10 +49,10 @@ def bc(arguments: argparse.Namespace, task: str, seed: int) -> BCConfig:
     return BCConfig.preset(
         "quick",
         tasks=other.tasks,
-        demos=other.demonstrations.demos,
-        num_demos=other.demonstrations.num_demos + (other.rounds - 1) * other.episodes,
+        demos=other.demos,
+        num_demos=other.num_demos + (other.rounds - 1) * other.episodes,
         seed=seed,
-        network=other.networks.network,
+        network=other.network,
         batches=other.num_updates,
     )
 
@@ -105,7 +105,7 @@ def ensure_demos(arguments: argparse.Namespace, task: str) -> None:
     """Demonstrations enough for all seeds' subsets."""
     folder = arguments.out / "demos" / task
     if not folder.exists():
-        number = 2 * bc(arguments, task, 0).demonstrations.num_demos
+        number = 2 * bc(arguments, task, 0).num_demos
         generate(str(EnvId(task, "Demo")), number, folder, workers=arguments.workers)
 
 

@@ -27,9 +27,9 @@ from magical.demos.generate import generate
 from magical.envs import EnvId
 from magical.evaluation import evaluate
 from magical_baselines import load_policy, train
-from magical_baselines.algorithms.bc import BCConfig, bc_loss, make_optimizer, make_policy
+from magical_baselines.algorithms.bc import BCConfig, bc_loss, make_policy
+from magical_baselines.compute import choose_compute
 from magical_baselines.networks import network_names
-from magical_baselines.running.devices import choose_compute
 
 TASKS = ("MoveToCorner", "MatchRegions")
 SOLVED = 0.95  # mean score
@@ -66,9 +66,8 @@ def curve(arguments: argparse.Namespace, network: str, task: str, seed: int) -> 
         return list(json.loads(file.read_text()))
     config = configuration(arguments, network, task, seed)
     env_id = EnvId(task, "Demo")
-    wanted = config.demonstrations
-    if not Path(wanted.demos).exists():
-        generate(env_id, wanted.num_demos, wanted.demos, seed=seed, min_score=1.0)
+    if not Path(config.demos).exists():
+        generate(env_id, config.num_demos, config.demos, seed=seed, min_score=1.0)
     folder = file.with_suffix("")
     scores: list[float] = []
     while len(scores) * EVERY < config.num_updates and (not scores or scores[-1] < SOLVED):
@@ -110,13 +109,13 @@ def training_step(network: str, precision: str) -> Callable[[], None]:
         "quick", tasks=TASKS[:1], demos="", network=chosen, precision=precision
     )
     policy = make_policy(config)
-    optimizer = make_optimizer(config.cloning, policy)
+    optimizer = torch.optim.Adam(policy.parameters(), config.learning_rate, fused=True)
     compute = choose_compute("cpu", precision, 1)
     rng = np.random.default_rng(0)
-    shape = (config.cloning.batch_size, *config.input_shape)
+    shape = (config.batch_size, *config.input_shape)
     images = torch.rand(shape).contiguous(memory_format=torch.channels_last)
-    actions = torch.from_numpy(rng.integers(0, 18, config.cloning.batch_size))
-    tasks = torch.zeros(config.cloning.batch_size, dtype=torch.int64)
+    actions = torch.from_numpy(rng.integers(0, 18, config.batch_size))
+    tasks = torch.zeros(config.batch_size, dtype=torch.int64)
 
     def step() -> None:
         with compute.autocast():

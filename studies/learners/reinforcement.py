@@ -136,26 +136,26 @@ def train_sb3(config: PPOConfig) -> tuple[Policy, Curve]:
 
     torch.set_num_threads(1)
     options = {"observation": "state", "reward": "dense"}
-    envs = make_vec_env(DEMO, config.ppo.num_envs, env_kwargs=options)
+    envs = make_vec_env(DEMO, config.num_envs, env_kwargs=options)
     curve: list[tuple[int, float]] = []
     model = PPO(
         "MlpPolicy",
         envs,
-        learning_rate=lambda left: config.ppo.learning_rate * left,
-        clip_range=lambda left: config.ppo.clip_range * left,
-        n_steps=config.ppo.num_steps,
-        batch_size=config.ppo.minibatch_size,
-        n_epochs=config.ppo.epochs,
-        gamma=config.ppo.gamma,
-        gae_lambda=config.ppo.gae_lambda,
-        ent_coef=config.ppo.ent_coef,
+        learning_rate=lambda left: config.learning_rate * left,
+        clip_range=lambda left: config.clip_range * left,
+        n_steps=config.num_steps,
+        batch_size=config.minibatch_size,
+        n_epochs=config.epochs,
+        gamma=config.gamma,
+        gae_lambda=config.gae_lambda,
+        ent_coef=config.ent_coef,
         vf_coef=0.5,  # of the squared error
-        max_grad_norm=config.ppo.max_grad_norm,
+        max_grad_norm=config.max_grad_norm,
         policy_kwargs={"net_arch": [256], "activation_fn": torch.nn.ReLU},
         seed=config.seed,
         device="cpu",
     )
-    model.learn(config.ppo.total_steps, callback=recorder(curve))
+    model.learn(config.total_steps, callback=recorder(curve))
     envs.close()
     policy = FunctionPolicy(lambda shown, ids, rng: model.predict(shown)[0])
     return policy, curve

@@ -12,24 +12,20 @@ from torch import Tensor, nn
 
 from magical.envs import parse_env_id
 from magical.errors import DivergedError, ObservationError, PolicyError
-from magical.evaluation.entry import LEARNED_FROM, THREADS
+from magical.evaluation.entry import THREADS
 from magical.evaluation.policy import Actions, Mask
 from magical.observe import ObservationSpec
 from magical.runs.folder import CHECKPOINT, RECORD, read_json
-from magical.runs.sources import RENDERED_STATES
-from magical_baselines.algorithms import find_algorithm, read_config
 from magical_baselines.augmentation.augment import to_unit
-from magical_baselines.config import Config
-from magical_baselines.data.rendered_data import RESAMPLING
-from magical_baselines.running.checkpoints import load_checkpoint, restoring
-from magical_baselines.running.devices import (
+from magical_baselines.checkpoints import load_checkpoint, restoring
+from magical_baselines.compute import (
     Compute,
     choose_device,
     cpu_threads,
     full_float32,
-    num_threads,
     read_compute,
 )
+from magical_baselines.config import Config, find_algorithm, read_config
 
 
 class TrainedPolicy:
@@ -42,7 +38,6 @@ class TrainedPolicy:
     """
 
     updates: tuple[int, int] | None = None
-    states_rendered = True  # whether augmentation rendered stored states, if it was asked to
 
     def __init__(
         self, network: nn.Module, config: Config, compute: Compute, greedy: bool = False
@@ -78,10 +73,7 @@ class TrainedPolicy:
     @property
     def record(self) -> dict[str, Any]:
         """What entries state: algorithm, seed, what was learned from, CPU threads."""
-        details = {**self.config.training_details, THREADS: num_threads()}
-        if not self.states_rendered:
-            details[LEARNED_FROM] = [x for x in details[LEARNED_FROM] if x != RENDERED_STATES]
-        return details
+        return {**self.config.training_details, THREADS: torch.get_num_threads()}
 
     def using_threads(self, number: int) -> AbstractContextManager[None]:
         """A context in which the network uses this number of CPU threads."""
@@ -196,11 +188,9 @@ def load_policy(run: Path | str, device: str = "auto", greedy: bool = False) -> 
     with restoring(folder / CHECKPOINT):
         network.load_state_dict(state["policy"])
         done = int(state["step"])
-    record = read_json(folder / RECORD)
-    recorded = read_compute(record, folder)
+    recorded = read_compute(read_json(folder / RECORD), folder)
     precision = recorded.precision if recorded and chosen == recorded.device else "float32"
     kind = algorithm.policy or NetworkPolicy
     policy = kind(network.to(chosen), config, Compute(chosen, precision), greedy)
     policy.updates = done, config.num_updates
-    policy.states_rendered = record.get("augment_by") != RESAMPLING
     return policy

@@ -15,7 +15,7 @@ from magical.demos.store.writer import DatasetWriter
 from magical.envs.seeds import episode_seed
 from magical.errors import DatasetError, DemonstrationsError, WorkerDiedError
 from magical.evaluation import environments
-from magical_baselines.config import DemonstrationSettings
+from magical_baselines.config import DemonstrationConfig
 from magical_baselines.experiments.plan import DemonstrationSource, PlannedRun
 from magical_baselines.experiments.results import DEMOS, Results, read_experiment
 
@@ -62,10 +62,9 @@ def require_same_demonstrations(runs: Sequence[PlannedRun], results: Results) ->
         ResultsError: they learned from other demonstrations.
     """
     for config in [run.config for run in runs if run.source.dataset][:1]:
-        wanted = config.part(DemonstrationSettings)
-        if wanted and Path(wanted.demos).exists():
+        if isinstance(config, DemonstrationConfig) and Path(config.demos).exists():
             known = read_experiment(results.path).demonstrations
-            _require_same(Dataset.open(Path(wanted.demos)), known, results)
+            _require_same(Dataset.open(Path(config.demos)), known, results)
 
 
 def open_dataset(runs: Sequence[PlannedRun], results: Results) -> Dataset | None:
@@ -90,8 +89,8 @@ def _wanted(runs: Iterable[PlannedRun]) -> tuple[dict[str, int], DemonstrationSo
     counts: dict[str, int] = {}
     source, folder = DemonstrationSource(), ""
     for run in runs:
-        wanted = run.config.part(DemonstrationSettings)
-        if wanted:
+        wanted = run.config
+        if isinstance(wanted, DemonstrationConfig):
             folder, source = wanted.demos, run.source  # the plan's
             counts |= {task: max(wanted.num_demos, counts.get(task, 0)) for task in run.tasks}
     return counts, source, folder

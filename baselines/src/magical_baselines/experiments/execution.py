@@ -18,6 +18,7 @@ from magical.evaluation.rollouts import modules_for
 from magical.files import is_out_of_space
 from magical.processes import ProcessPool, available_cores
 from magical.tasks import with_tasks
+from magical_baselines.compute import visible_gpus
 from magical_baselines.experiments.demonstrations import (
     open_dataset,
     prepare_demonstrations,
@@ -39,8 +40,7 @@ from magical_baselines.experiments.results import (
     Results,
     opened,
 )
-from magical_baselines.running.devices import visible_gpus
-from magical_baselines.running.interrupts import Interrupts
+from magical_baselines.training import Interrupts
 
 TRIES = 3  # of a run that was ended by the cluster, not by its own failure
 POLL = 1.0  # seconds between checks for signals, and between refreshes of the display

@@ -13,7 +13,7 @@ from typing import Any
 
 from magical.runs.plan import in_words
 from magical_baselines import Config
-from magical_baselines.config import DemonstrationSettings, EncoderSettings
+from magical_baselines.config import DemonstrationConfig, NetworkConfig
 from magical_baselines.experiments.display import duration
 from magical_baselines.experiments.plan import PlannedRun
 from magical_baselines.experiments.results import DONE, FAILED, planned_states
@@ -111,26 +111,25 @@ def _estimate(run: PlannedRun, speed: float) -> float:
     if config.seconds_each:
         per_sample, per_action = config.seconds_each
         return samples * per_sample + steps * (per_action + SECONDS_PER_STEP)
-    cloning = config.part(DemonstrationSettings) and not config.environment_steps
+    cloning = isinstance(config, DemonstrationConfig) and not config.environment_steps
     prepared = samples if cloning and not config.observes_vectors else 0
     learning = (samples + FORWARD * steps) / speed + prepared * SECONDS_PER_PREPARED_SAMPLE
     return learning + steps * SECONDS_PER_STEP
 
 
 def _way(config: Config) -> Way:
-    from magical_baselines.running.devices import choose_compute, choose_device
+    from magical_baselines.compute import choose_compute, choose_device
 
     device = choose_device(config.device)
     compute = choose_compute(device, config.network_precision, config.num_threads)
     threads = compute.threads if device == "cpu" else 0
-    networks = config.part(EncoderSettings)
-    network = networks.network if networks else "paper"
+    network = config.network if isinstance(config, NetworkConfig) else "paper"
     return network, config.observation, device, compute.precision, threads
 
 
 def _measure(ways: set[Way]) -> dict[Way, float]:
     """Samples per second of forward and backward passes."""
-    from magical_baselines.running.speed import training_speeds
+    from magical_baselines.speed import training_speeds
 
     found: dict[Way, float] = {}
     for network, observation, device, threads in {(*way[:3], way[4]) for way in ways}:

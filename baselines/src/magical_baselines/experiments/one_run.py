@@ -20,8 +20,7 @@ from magical.runs.folder import write_json
 from magical.runs.machine import provenance, source_commit
 from magical.runs.plan import REFERENCES, RESULT
 from magical_baselines import is_run, load_policy, train
-from magical_baselines.algorithms import modules_of
-from magical_baselines.config import DemonstrationSettings
+from magical_baselines.config import DemonstrationConfig, modules_of
 from magical_baselines.experiments.plan import PlannedRun
 from magical_baselines.experiments.results import DONE, FAILED, Outcome
 
@@ -85,7 +84,7 @@ def _train_and_evaluate(
 ) -> Mapping[str, float] | None:
     """The seconds of training and evaluation; `None` if training was interrupted."""
     config = run.config
-    if demos is not None and config.part(DemonstrationSettings):
+    if demos is not None and isinstance(config, DemonstrationConfig):
         config = config.replace(demos=str(demos))
     start = time.perf_counter()
     resume = is_run(folder)
@@ -106,7 +105,7 @@ def evaluate_run(run: PlannedRun, folder: Path, out: Path, evaluation: Evaluatio
         out: where the files are written: the folder, or a subfolder.
         evaluation: how the policy is evaluated; it may differ from the run's own evaluation.
     """
-    from magical_baselines.running.devices import cpu_threads
+    from magical_baselines.compute import cpu_threads
 
     policy = load_policy(folder, device=run.config.device)
     with cpu_threads(run.config.threads):

@@ -32,7 +32,7 @@ from magical.tasks import load_tasks
 from magical_baselines.experiments.one_run import finish, modules_of_run
 from magical_baselines.experiments.plan import PlannedRun
 from magical_baselines.experiments.results import DONE, Outcome, Results, read_experiment
-from magical_baselines.running.interrupts import SIGNALS
+from magical_baselines.training import SIGNALS
 
 RETRIES = 3  # after a node, or a process on it, has died
 MAX_ERROR = 500  # characters of Ray's own messages

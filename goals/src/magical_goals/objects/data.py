@@ -12,7 +12,7 @@ from magical.demos.store.reader import TrajectorySource
 from magical.demos.store.trajectory import Trajectory
 from magical.errors import DemonstrationsError
 from magical.observe import PRESETS
-from magical_baselines.data.expert_data import Rows, TaskTrajectories
+from magical_baselines.data import Rows, TaskTrajectories
 from magical_goals.objects.goals import relate_blocks
 from magical_goals.objects.hindsight import ROBOT_TARGET, find_carries, find_goals, track
 from magical_goals.objects.parser import ParsedFrames

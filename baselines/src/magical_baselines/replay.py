@@ -1,11 +1,6 @@
-"""Transitions of demonstrations and of a policy, with each frame stored once.
+"""Replay buffers: what a policy did lately, to sample batches from, with demonstrations."""
 
-A stack of four frames takes 110 kB, a single frame 28 kB. The two stacks of a transition have three
-frames in common and share all their frames with neighbouring transitions. A buffer therefore holds
-single frames, numbered in the order of arrival, and a transition is a window of frame numbers:
-without the newest, it is the observation before the action; without the oldest, the one after it.
-"""
-
+import zlib
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -14,13 +9,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from magical.demos import Trajectory
-from magical.demos.store.reader import TrajectorySource
-from magical.errors import DemonstrationsError
 from magical.observe import ObservationSpec
-from magical.observe.arrays import stack_indices
-from magical_baselines.reinforcement.replay_buffer import pack, unpack
-from magical_baselines.running.checkpoints import StateDict
+from magical_baselines.checkpoints import StateDict
+from magical_baselines.data import ExpertData
 
 Numbers = NDArray[np.int64]
 
@@ -39,70 +30,46 @@ class Transitions(NamedTuple):
         return Transitions(*(torch.cat(pair) for pair in zip(self, others, strict=True)))
 
 
-class TransitionBuffer:
-    """The newest frames of episodes, and the transitions between them, on a device."""
+def expert_transitions(
+    expert: ExpertData, counts: Sequence[int], rng: np.random.Generator
+) -> Transitions:
+    """Sample `counts[k]` demonstrated transitions of task k, uniformly with replacement."""
+    rows = expert.sample_counts(counts, rng)
+    actions, tasks = expert.labels(rows)
+    ends = expert.ends[torch.from_numpy(rows).to(expert.device)]
+    following = expert.images(rows, following=True)
+    return Transitions(expert.images(rows), actions, following, ends, tasks)
 
-    def __init__(self, spec: ObservationSpec, frames: Sequence[Tensor], num_tasks: int) -> None:
+
+class ReplayBuffer:
+    """The newest transitions of N environments, with each frame stored once.
+
+    A stack of four frames takes 110 kB, a single frame 28 kB. The two stacks of a transition have
+    three frames in common and share all their frames with neighbouring transitions. A buffer
+    therefore holds single frames, numbered in the order of arrival, and a transition is a window of
+    frame numbers: without the newest, it is the observation before the action; without the oldest,
+    the one after it.
+    """
+
+    def __init__(
+        self, spec: ObservationSpec, like: Sequence[Tensor], capacity: int, num_tasks: int
+    ) -> None:
         """Create an empty buffer.
 
         Args:
             spec: the specification of the observations.
-            frames: storage for each component's frames, (capacity, channels, ...).
+            like: each component's frames, (any number, channels, ...), on the buffer's device.
+            capacity: frames.
             num_tasks: number of tasks.
         """
-        self._spec = spec
-        self._frames = frames
-        self._num_tasks = num_tasks
-        self._capacity = len(frames[0])
+        self._spec, self._capacity, self._num_tasks = spec, capacity, num_tasks
+        self._frames = [part.new_zeros((capacity, *part.shape[1:])) for part in like]
         self._stored = 0  # frames in total; number n is, or was, in slot n % capacity
         self._added = 0  # transitions in total, in the same way; never more than frames
-        self._windows = np.zeros((self._capacity, spec.frames + 1), np.int64)
-        self._labels = np.zeros((self._capacity, 3), np.int64)  # action, end, task
+        self._windows = np.zeros((capacity, spec.frames + 1), np.int64)
+        self._labels = np.zeros((capacity, 3), np.int64)  # action, end, task
         self._current: Numbers = np.zeros((0, spec.frames), np.int64)  # the environments' stacks
         self._rows: list[Numbers] = []  # of each task's transitions
-
-    @classmethod
-    def of_demonstrations(
-        cls,
-        demonstrations: Sequence[tuple[str, Trajectory]],
-        task_names: Sequence[str],
-        spec: ObservationSpec,
-        device: str,
-    ) -> "TransitionBuffer":
-        """A full buffer of demonstrations.
-
-        Steps whose executed action is not the label are left out: their next state results from
-        another action.
-
-        Raises:
-            DemonstrationsError: no steps of a task are left.
-        """
-        sources = [TrajectorySource(trajectory) for _, trajectory in demonstrations]
-        frames = []
-        for component in spec.components:
-            read = [component.read(source, np.arange(len(source) + 1)) for source in sources]
-            frames.append(torch.from_numpy(np.concatenate(read)).to(device))
-        buffer = cls(spec, frames, len(task_names))
-        for name, trajectory in demonstrations:
-            length, first = len(trajectory), buffer._stored
-            steps = np.flatnonzero(trajectory.is_intended)
-            windows = first + stack_indices(steps + 1, spec.frames + 1)
-            task = np.full(len(steps), task_names.index(name))
-            labels = trajectory.labels[steps].astype(np.int64)
-            buffer._append(windows, labels, steps == length - 1, task)
-            buffer._stored += length + 1
-        for name, rows in zip(task_names, buffer._by_task, strict=True):
-            if not len(rows):
-                raise DemonstrationsError(
-                    f"{name}: expected steps in which the demonstrator's own action was executed, "
-                    "found none"
-                )
-        return buffer
-
-    def emptied(self, capacity: int) -> "TransitionBuffer":
-        """An empty buffer for frames like these."""
-        frames = [part.new_zeros((capacity, *part.shape[1:])) for part in self._frames]
-        return TransitionBuffer(self._spec, frames, self._num_tasks)
 
     def start(self, observations: Tensor) -> None:
         """Start from the current observations (N, ...) of the environments.
@@ -134,7 +101,11 @@ class TransitionBuffer:
             after = observations.clone()
             after[torch.from_numpy(dones)] = final
         windows = np.concatenate([self._current, self._store(after)[:, None]], axis=1)
-        self._append(windows, actions.cpu().numpy(), dones, tasks)
+        rows = np.arange(self._added, self._added + len(windows)) % self._capacity
+        self._windows[rows] = windows
+        self._labels[rows] = np.stack([actions.cpu().numpy(), dones, tasks], axis=1)
+        self._added += len(windows)
+        self._rows = []
         self._current = windows[:, 1:]
         if final is not None:
             self._current[dones] = self._store(observations[torch.from_numpy(dones)])[:, None]
@@ -171,16 +142,6 @@ class TransitionBuffer:
         self._stored += len(observations)
         return numbers
 
-    def _append(
-        self, windows: Numbers, actions: Numbers, ends: NDArray[np.bool_], tasks: Numbers
-    ) -> None:
-        """Append transitions (B, frames + 1), replacing the oldest."""
-        rows = np.arange(self._added, self._added + len(windows)) % self._capacity
-        self._windows[rows] = windows
-        self._labels[rows] = np.stack([actions, ends, tasks], axis=1)
-        self._added += len(windows)
-        self._rows = []
-
     def _stacks(self, windows: Numbers) -> Tensor:
         """Observations (B, ...) for the windows (B, frames)."""
         parts = []
@@ -212,3 +173,77 @@ class TransitionBuffer:
         self._labels[: self._added] = state["labels"].numpy()
         self._current = state["current"].numpy()
         self._rows = []
+
+
+class RecentRollouts:
+    """The newest rollouts of N environments, from which learned rewards get the novice's samples.
+
+    Unlike in `ReplayBuffer`, observations are kept as the rollouts have them.
+    """
+
+    _observations: Tensor  # (capacity, T, N, ...), allocated with the first rollout
+    _actions: Tensor  # (capacity, T, N)
+
+    def __init__(self, task_of: Numbers, device: str, capacity: int = 4) -> None:
+        """Create an empty buffer for `capacity` rollouts of environments with tasks (N,)."""
+        self._device, self._capacity, self._task_of = device, capacity, task_of
+        self._envs_of = [np.flatnonzero(task_of == number) for number in range(task_of.max() + 1)]
+        self._count = 0  # rollouts added in total
+
+    def add(self, observations: Tensor, actions: Tensor) -> None:
+        """Add observations (T, N, ...) and actions (T, N), replacing the oldest rollout."""
+        if not self._count:
+            self._observations = observations.new_zeros((self._capacity, *observations.shape))
+            self._actions = actions.new_zeros((self._capacity, *actions.shape))
+        self._observations[self._count % self._capacity] = observations
+        self._actions[self._count % self._capacity] = actions
+        self._count += 1
+
+    def sample(
+        self, counts: Sequence[int], rng: np.random.Generator
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Sample observations, actions and tasks, `counts[k]` of task k, with replacement.
+
+        Returns:
+            Observations (B, ...), actions (B,) int64 and tasks (B,) int64, where B is the sum of
+            the counts.
+        """
+        pairs = zip(self._envs_of, counts, strict=True)
+        env = np.concatenate([rng.choice(envs, count) for envs, count in pairs])
+        rollout = rng.integers(min(self._count, self._capacity), size=len(env))
+        time = rng.integers(self._actions.shape[1], size=len(env))
+        index = tuple(torch.from_numpy(part).to(self._device) for part in (rollout, time, env))
+        tasks = torch.from_numpy(self._task_of[env]).to(self._device)
+        return self._observations[index], self._actions[index], tasks
+
+    def state_dict(self) -> StateDict:
+        """The buffer's contents."""
+        if not self._count:
+            return {"count": 0}
+        return {
+            "count": self._count,
+            "dtype": str(self._observations.dtype).removeprefix("torch."),
+            "shape": list(self._observations.shape),
+            "observations": pack(self._observations),
+            "actions": self._actions,
+        }
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Restore what `state_dict` returned."""
+        self._count = int(state["count"])
+        if self._count:
+            plain = unpack(state["observations"], getattr(torch, state["dtype"]), state["shape"])
+            self._observations = plain.to(self._device)
+            self._actions = state["actions"].to(self._device)
+
+
+def pack(frames: Tensor) -> Tensor:
+    """Compress frames, which are mostly of uniform colour."""
+    packed = zlib.compress(frames.cpu().numpy().tobytes(), 1)
+    return torch.frombuffer(bytearray(packed), dtype=torch.uint8)
+
+
+def unpack(packed: Tensor, dtype: torch.dtype, shape: Sequence[int]) -> Tensor:
+    """The inverse of `pack`, on the CPU."""
+    plain = bytearray(zlib.decompress(packed.numpy().tobytes()))
+    return torch.frombuffer(plain, dtype=dtype).view(*shape)

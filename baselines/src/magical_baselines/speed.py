@@ -8,7 +8,7 @@ import torch
 from magical.tasks import TASKS
 from magical_baselines.algorithms.bc import BCConfig, bc_loss, make_policy
 from magical_baselines.models import PolicyNetwork
-from magical_baselines.running.devices import Compute, choose_device, full_float32, restored_threads
+from magical_baselines.compute import Compute, choose_device, cpu_threads, full_float32
 
 WARM_UP = 2  # batches before the first that is timed
 
@@ -53,7 +53,7 @@ def training_speeds(
     counts = sorted(set(threads) or {1, torch.get_num_threads()}) if chosen == "cpu" else [0]
     ways = [Compute(chosen, name, count) for name in ("float32", "bfloat16") for count in counts]
     fastest = dict.fromkeys(ways, float("inf"))
-    with restored_threads(), full_float32():
+    with cpu_threads(0), full_float32():
         for number in range(WARM_UP + rounds):
             for way in ways:
                 seconds = _batch_time(way, policy, config, clock)
@@ -68,8 +68,8 @@ def _batch_time(
     """The time of a forward and backward pass in seconds."""
     compute.set_threads()
     device = compute.device
-    images = torch.zeros(config.cloning.batch_size, *config.input_shape, device=device)
-    tasks = torch.zeros(config.cloning.batch_size, dtype=torch.int64, device=device)
+    images = torch.zeros(config.batch_size, *config.input_shape, device=device)
+    tasks = torch.zeros(config.batch_size, dtype=torch.int64, device=device)
     start = clock()
     with compute.autocast():
         logits = policy(images, tasks)

@@ -1,8 +1,7 @@
 """Demonstrations as training data: choosing them, and sampling frame stacks and actions.
 
 Each frame is stored once, as uint8 with channels first, and stacks are assembled when sampled. Ten
-demonstrations of a hundred steps take 28 MB this way, and 110 MB as stacks. If poses are known,
-frames can instead be rendered when sampled (`magical_baselines.data.rendered_data`).
+demonstrations of a hundred steps take 28 MB this way, and 110 MB as stacks.
 """
 
 from collections.abc import Iterable, Sequence
@@ -23,11 +22,8 @@ from magical.observe.arrays import stack_indices
 from magical.scene import NOOP
 from magical_baselines.augmentation.augment import augment
 from magical_baselines.augmentation.names import Augmentations
-from magical_baselines.augmentation.palette import permute_palette
-from magical_baselines.augmentation.transformations import StackTransformations
-from magical_baselines.config import Config, DemonstrationSettings
-from magical_baselines.running.run import Run
-from magical_baselines.running.streams import Purpose, stream
+from magical_baselines.config import DemonstrationConfig
+from magical_baselines.training import Purpose, Run, stream
 
 Rows = NDArray[np.int64]  # (B,) indices of samples
 TaskTrajectories = tuple[tuple[str, Trajectory], ...]  # each with the name of its task
@@ -40,17 +36,15 @@ class Demonstrations(NamedTuple):
     record: tuple[dict[str, Any], ...]  # task, file and SHA-256 of each
 
 
-def load_demonstrations(config: Config, run: Run) -> TaskTrajectories:
+def load_demonstrations(config: DemonstrationConfig, run: Run) -> TaskTrajectories:
     """Sample the demonstrations that the configuration asks for, and record them in `run.json`.
 
     Raises:
         RunFolderError: the run was started with other demonstrations.
         DemonstrationsError, DatasetError: see `sample_demonstrations`.
     """
-    settings = config.part(DemonstrationSettings)
-    assert settings is not None
     found = sample_demonstrations(
-        settings.demos, config.tasks, settings.num_demos, config.seed, config.action_space
+        config.demos, config.tasks, config.num_demos, config.seed, config.action_space
     )
     run.describe(demonstrations=list(found.record))
     return found.trajectories
@@ -110,7 +104,9 @@ class ExpertData:
         actions: (S,) int64, the trajectories' labels; (S, 3) float32 if continuous.
         executed: like `actions`, the executed actions, which differ in perturbed steps.
         is_last: (S,) bool, whether a sample is the last of its trajectory.
+        ends: (S,) bool, whether the time limit follows a sample's action.
         tasks: (S,) int64, positions in `task_names`.
+        frames: for each component of the observation all frames, (F, ...).
     """
 
     def __init__(
@@ -121,6 +117,7 @@ class ExpertData:
         *,
         device: str = "cpu",
         remove_noops: bool = False,
+        transitions: bool = False,
     ) -> None:
         """Read the trajectories.
 
@@ -130,25 +127,32 @@ class ExpertData:
             spec: the specification of the observations.
             device: where samples are stored.
             remove_noops: leave out samples whose action is the no-op.
+            transitions: leave out samples whose executed action is not the label, as their next
+                observations result from another action.
 
         Raises:
             DemonstrationsError: a task has no samples left; steps in which a watched policy acted
                 on its own are always left out.
         """
         names, trajectories = zip(*demonstrations, strict=True)
-        self.spec, self.device = spec, device
-        self._load_frames(trajectories)
-        kept = [t.is_demonstrated.copy() for t in trajectories]
+        self.device = device
+        kept = [t.is_intended if transitions else t.is_demonstrated.copy() for t in trajectories]
         if remove_noops:
             kept = [some & ~_noops(t.labels) for some, t in zip(kept, trajectories, strict=True)]
         steps = [np.flatnonzero(of_one) for of_one in kept]
         lengths = [len(s) for s in steps]
         self._bounds = _bounds(trajectories, steps)  # (2, S)
         self.is_last = np.isin(np.arange(sum(lengths)), np.cumsum(lengths) - 1)
-        first = np.cumsum([0, *map(len, trajectories[:-1])])  # index of each one's first frame
-        self._stacks = []  # for each component: (S, frames), indices of frames, oldest first
+        ends = [some == len(t) - 1 for t, some in zip(trajectories, steps, strict=True)]
+        self.ends = torch.from_numpy(np.concatenate(ends)).to(device)
+        first = np.cumsum([0, *(len(t) + 1 for t in trajectories[:-1])])  # each one's first frame
+        sources = [TrajectorySource(trajectory) for trajectory in trajectories]
+        self.frames: list[Tensor] = []
+        self._stacks = []  # for each component: (S, frames + 1), indices of frames, oldest first
         for component in spec.components:
-            parts = map(stack_indices, steps, repeat(component.frames))
+            frames = [component.read(source, np.arange(len(source) + 1)) for source in sources]
+            self.frames.append(torch.from_numpy(np.concatenate(frames)).to(device))
+            parts = map(stack_indices, (s + 1 for s in steps), repeat(component.frames + 1))
             stacks = np.concatenate([n + part for n, part in zip(first, parts, strict=True)])
             self._stacks.append(torch.from_numpy(stacks).to(device))
         labels = [t.labels[some] for t, some in zip(trajectories, steps, strict=True)]
@@ -160,64 +164,36 @@ class ExpertData:
         for name, rows in zip(task_names, self._rows, strict=True):
             if not len(rows):
                 raise DemonstrationsError(
-                    f"{name}: expected demonstrated actions other than no-ops (those of a watched "
-                    "policy do not count), found none"
+                    f"{name}: expected demonstrated actions"
+                    f"{' other than no-ops' * remove_noops} (those of a watched policy do not "
+                    f"count{', nor those that were not executed' * transitions}), found none"
                 )
-
-    def _load_frames(self, trajectories: Sequence[Trajectory]) -> None:
-        """Store all frames before actions, (F, ...) for each component of the observation."""
-        frames: list[list[NDArray[Any]]] = [[] for _ in self.spec.components]
-        for trajectory in trajectories:
-            source, steps = TrajectorySource(trajectory), np.arange(len(trajectory))
-            for kept, component in zip(frames, self.spec.components, strict=True):
-                kept.append(component.read(source, steps))
-        self._frames = [torch.from_numpy(np.concatenate(kept)).to(self.device) for kept in frames]
 
     def __len__(self) -> int:
         """The number of samples."""
         return len(self.actions)
 
-    def images(self, rows: Rows, newest_only: NDArray[np.bool_] | None = None) -> Tensor:
+    def images(self, rows: Rows, *, following: bool = False) -> Tensor:
         """Frame stacks (B, C, H, W) uint8 of samples, in the observation's channel order.
 
-        State vectors are (B, size) float32. Where `newest_only` (B,) is true, the newest frame
-        replaces all earlier ones.
+        State vectors are (B, size) float32. `following`: those after the samples' actions.
         """
-        index = self._index(rows)
-        stacks = []
-        for frames, indices in zip(self._frames, self._stacks, strict=True):
-            chosen = indices[index]  # (B, K)
-            if newest_only is not None:
-                held = self._index(newest_only)[:, None]
-                chosen = torch.where(held, chosen[:, -1:], chosen)
+        index, stacks = self._index(rows), []
+        for frames, indices in zip(self.frames, self._stacks, strict=True):
+            windows = indices[index]  # (B, K + 1)
+            chosen = windows[:, 1:] if following else windows[:, :-1]
             found = frames.index_select(0, chosen.flatten())
             stacks.append(found.view(len(rows), -1, *frames.shape[2:]))
         return stacks[0] if len(stacks) == 1 else torch.cat(stacks, dim=1)
 
-    @property
-    def batches_on_host(self) -> bool:
-        """Whether the host makes the batches, so that another thread can make them in advance."""
-        return self.device == "cpu"
-
     def augmented(
-        self,
-        rows: Rows,
-        which: Augmentations,
-        rng: np.random.Generator,
-        transformed: StackTransformations | None = None,
-        together: int = 1,
+        self, rows: Rows, which: Augmentations, rng: np.random.Generator, together: int = 1
     ) -> Tensor:
-        """Frame stacks of samples, transformed and augmented: (B, C, H, W) float32 in [0, 1].
+        """Augmented frame stacks of samples: (B, C, H, W) float32 in [0, 1].
 
         Every `together` consecutive ones share augmentation parameters.
         """
-        transformed = transformed or StackTransformations.none(len(rows))
-        images = self.images(rows, transformed.newest_only)
-        mirrored = self._index(transformed.mirrored)
-        images[mirrored] = images[mirrored].flip(-1)
-        if transformed.palettes.any():
-            images = permute_palette(images, transformed.palettes)
-        return augment(images, which, rng, together)
+        return augment(self.images(rows), which, rng, together)
 
     def neighbours(self, rows: Rows, offsets: Rows) -> tuple[Rows, NDArray[np.bool_]]:
         """Samples at offsets (K,) from the given ones, and whether each exists: both (B, K).

@@ -1,34 +1,111 @@
-"""Chunks of actions: samples to learn from, and policies whose network predicts chunks."""
+"""Chunks of actions: samples to learn from, training, and policies whose network predicts chunks."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
+from torch import Tensor, nn
+from torch.optim import AdamW
 
 from magical.errors import InvalidConfigError
 from magical.evaluation.policy import Actions, Mask
 from magical.scene.actions import NUM_ACTIONS, PARTS
-from magical_baselines.data.expert_data import ExpertData
+from magical_baselines.config import (
+    NetworkConfig,
+    NonNegativeFloat,
+    PositiveFloat,
+    PositiveInt,
+    SupervisedConfig,
+    augment_option,
+    option,
+)
+from magical_baselines.data import ExpertData as ExpertData
+from magical_baselines.data import load_demonstrations
 from magical_baselines.policy import TrainedPolicy, choose_actions
-from magical_baselines.running.streams import Purpose, stream
-from magical_baselines.sequences.fitting import SequenceConfig
-from magical_baselines.settings import POSITIVE, Settings, option
+from magical_baselines.training import Purpose, Run, anneal, fit, gradient_step, stream
 
 Floats = NDArray[np.float64]
+AnyConfig = TypeVar("AnyConfig", bound="SequenceConfig")
+Network = TypeVar("Network", bound=nn.Module)
+Batch = TypeVar("Batch")
+
+MAX_GRAD_NORM = 10.0
+QUICK = {"network": "narrow", "batches": 2400, "precision": "auto"}  # settings of the preset
 # How many numbers a network returns per action: logits, or the action itself.
 ACTION_SIZES = {"discrete": NUM_ACTIONS, "continuous": len(PARTS)}
 
 
 @dataclass(frozen=True, kw_only=True)
-class ChunkSettings(Settings):
-    """The length of chunks, and how much of each is executed."""
+class SequenceConfig(SupervisedConfig, NetworkConfig):
+    """Options of learners of sequences, whose networks AdamW fits to the demonstrations."""
 
-    chunk: int = option(16, "actions in a chunk", POSITIVE)
-    execute: int = option(1, "steps between predictions of chunks", POSITIVE)
+    learning_rate: PositiveFloat = option(
+        5e-4, "AdamW's initial learning rate; annealed linearly to 0"
+    )
+    weight_decay: NonNegativeFloat = option(1e-4, "AdamW's weight decay")
+    augment: str = augment_option("noise+translation+rotation")
+
+
+def fit_sequences(
+    config: AnyConfig,
+    run: Run,
+    network: Network,
+    sample: Callable[[AnyConfig, ExpertData, np.random.Generator], Batch],
+    losses: Callable[[Network, Batch], Mapping[str, Tensor]],
+) -> None:
+    """Fit a network, the run's policy, to the demonstrations without no-ops.
+
+    Args:
+        config: the configuration of the run.
+        run: logs and saves the training, which continues from its checkpoint.
+        network: the module to train.
+        sample: returns a batch, depending only on its arguments.
+        losses: the metrics of a batch, of which `loss` is minimised.
+
+    Raises:
+        DemonstrationsError, RunFolderError: see `load_demonstrations` and `ExpertData`.
+    """
+    compute = run.compute
+    data = ExpertData(
+        load_demonstrations(config, run),
+        config.tasks,
+        config.observation_spec,
+        device=compute.device,
+        remove_noops=True,
+    )
+    network.to(compute.device).train()
+    optimizer = AdamW(
+        network.parameters(), config.learning_rate, weight_decay=config.weight_decay, fused=True
+    )
+    run.keep(policy=network, optimizer=optimizer)
+
+    def update(number: int, batch: Batch) -> Mapping[str, Tensor]:
+        anneal(optimizer, number, config.num_updates)
+        with compute.autocast():
+            metrics = losses(network, batch)
+        gradient_step(optimizer, metrics["loss"], MAX_GRAD_NORM)
+        return metrics
+
+    def make(number: int) -> Batch:
+        return sample(config, data, stream(config.seed, Purpose.BATCHES, number))
+
+    fit(run, make, update)
+
+
+def masked_mean(values: Tensor, mask: Tensor) -> Tensor:
+    """The mean of values (...,) where a mask (...,) is true."""
+    return (values * mask).sum() / mask.sum()
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChunkConfig(SequenceConfig):
+    """Options of learners of chunks."""
+
+    chunk: PositiveInt = option(16, "actions in a chunk")
+    execute: PositiveInt = option(1, "steps between predictions of chunks")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -37,13 +114,6 @@ class ChunkSettings(Settings):
                 f"execute: expected at most the {self.chunk} actions of a chunk, found "
                 f"{self.execute}"
             )
-
-
-@dataclass(frozen=True, kw_only=True)
-class ChunkConfig(SequenceConfig):
-    """Base of the configurations of learners of chunks."""
-
-    chunks: ChunkSettings = field(default_factory=ChunkSettings)
 
 
 class Chunks(NamedTuple):
@@ -56,17 +126,16 @@ class Chunks(NamedTuple):
     tasks: Tensor  # (B,) int64
 
 
-def sample_chunks(config: ChunkConfig, data: ExpertData, number: int) -> Chunks:
-    """Batch `number`: depends only on the data, the configuration and the number.
+def sample_chunks(config: ChunkConfig, data: ExpertData, rng: np.random.Generator) -> Chunks:
+    """Sample a batch.
 
     If no-ops have been left out of the data, a chunk has the next actions that are not no-ops.
     Beyond a demonstration's end, its last action is repeated. Where another action than the label
     was executed, as in perturbed demonstrations, the rest of the chunk is unknown.
     """
-    rng = stream(config.seed, Purpose.BATCHES, number)
-    rows = data.sample(config.fitting.batch_size, rng)
-    images = data.augmented(rows, config.fitting.augmentations, rng)
-    chosen, exist = data.neighbours(rows, np.arange(config.chunks.chunk))
+    rows = data.sample(config.batch_size, rng)
+    images = data.augmented(rows, config.augmentations(config.augment), rng)
+    chosen, exist = data.neighbours(rows, np.arange(config.chunk))
     actions, tasks = data.labels(chosen)
     masks = np.stack([exist, ~exist & data.is_last[chosen]])
     known, padded = torch.from_numpy(masks).to(data.device)
@@ -93,7 +162,7 @@ class ChunkPolicy(TrainedPolicy):
     def reset(self, mask: Mask) -> None:
         """Forget the chunks of the environments in which an episode starts."""
         if mask.all():
-            shape = len(mask), self.config.chunks.chunk
+            shape = len(mask), self.config.chunk
             self._sums = np.zeros((*shape, ACTION_SIZES[self.action_space]))
             self._weights = np.zeros(shape)
             self._counts = np.zeros(shape, np.int64)
@@ -103,7 +172,7 @@ class ChunkPolicy(TrainedPolicy):
 
     def act(self, observations: Any, env_ids: Sequence[str], rng: np.random.Generator) -> Actions:
         """See `TrainedPolicy`."""
-        due = self._steps % self.config.chunks.execute == 0
+        due = self._steps % self.config.execute == 0
         inputs = self.extra_inputs(len(env_ids), rng)
         if due.any():
             chunks = self.outputs(observations, env_ids, *inputs)

@@ -1,8 +1,7 @@
 """Device, precision and threads: chosen once, recorded with the run."""
 
 import os
-import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,16 +10,19 @@ from typing import Annotated, Any, Literal
 import torch
 from msgspec import Meta
 from torch import Tensor
+from torch.optim import Optimizer
 
 from magical.errors import DeviceError, RunFolderError
 from magical.messages import quoted
 from magical.runs.folder import RECORD
 from magical.untrusted import convert
-from magical_baselines.settings import DEVICES, MAX_THREADS
+from magical_baselines.config import MAX_THREADS
 
+DEVICES = ("auto", "cpu", "cuda")
 Device = Literal["cpu", "cuda"]
 Precision = Literal["float32", "bfloat16"]
 OLDER_INSTRUCTIONS = ("DEFAULT", "NO AVX", "AVX2")  # PyTorch's names
+Step = Callable[..., dict[str, Tensor]]  # tensors -> values to log
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +87,7 @@ def choose_compute(device: Device, precision: str, threads: int) -> Compute:
     """Choose what a run computes with, from its configuration and the processor's capabilities.
 
     Nothing is measured, so the same configuration gives the same weights on the same machine,
-    whatever else runs on it. `benchmarks/learning.py` measures speeds.
+    whatever else runs on it.
 
     Args:
         device: `cpu` or `cuda`.
@@ -113,89 +115,37 @@ def has_bfloat16(device: str) -> bool:
     return bool(abilities.get("amx_bf16") or abilities.get("avx512_bf16"))
 
 
-_lock = threading.Lock()
-_inside = threading.local()  # `depth`: nesting of `restored_threads` in this thread
-_num_inside: dict[str, int] = {"threads": 0, "float32": 0}  # threads or calls inside a context
-_before: dict[str, Any] = {}  # values before the first of them entered
-
-
 @contextmanager
 def full_float32() -> Iterator[None]:
     """Context manager in which a GPU does not round float32 numbers to TensorFloat-32.
 
-    By default, PyTorch does so in convolutions. Several threads may be inside at the same time.
+    By default, PyTorch does so in convolutions.
     """
     cudnn: Any = torch.backends.cudnn  # its parts are not in the type annotations
     parts: tuple[Any, ...] = (cudnn.conv, cudnn.rnn, torch.backends.cuda.matmul)
-    with _lock:
-        if not _num_inside["float32"]:
-            _before["float32"] = [part.fp32_precision for part in parts]
-        _num_inside["float32"] += 1
-        for part in parts:
-            part.fp32_precision = "ieee"
+    before = [part.fp32_precision for part in parts]
+    for part in parts:
+        part.fp32_precision = "ieee"
     try:
         yield
     finally:
-        with _lock:
-            _num_inside["float32"] -= 1
-            if not _num_inside["float32"]:
-                for part, precision in zip(parts, _before["float32"], strict=True):
-                    part.fp32_precision = precision
-
-
-@contextmanager
-def flushed_denormals() -> Iterator[None]:
-    """Context manager in which this thread rounds numbers below 1e-38 to 0, if its CPU can.
-
-    Arithmetic with such numbers is slow, and Adam's averages are full of them once units are dead.
-    """
-    flushed = bool(torch.tensor(1e-40) * 1.0 == 0.0)
-    torch.set_flush_denormal(True)
-    try:
-        yield
-    finally:
-        torch.set_flush_denormal(flushed)
-
-
-@contextmanager
-def restored_threads() -> Iterator[None]:
-    """Context manager that restores PyTorch's number of threads on exit.
-
-    The number set in one thread is also the default for threads started later. If several threads
-    are inside at the same time, each therefore restores the number from before the first entered.
-    """
-    depth = getattr(_inside, "depth", 0)
-    with _lock:
-        before = torch.get_num_threads()
-        if not depth:
-            if not _num_inside["threads"]:
-                _before["threads"] = before
-            _num_inside["threads"] += 1
-            before = _before["threads"]
-    _inside.depth = depth + 1
-    try:
-        yield
-    finally:
-        _inside.depth = depth
-        with _lock:
-            _num_inside["threads"] -= not depth
-            torch.set_num_threads(before)
-
-
-def num_threads() -> int:
-    """The number of CPU threads that PyTorch uses."""
-    return torch.get_num_threads()
+        for part, precision in zip(parts, before, strict=True):
+            part.fp32_precision = precision
 
 
 @contextmanager
 def cpu_threads(number: int) -> Iterator[None]:
-    """Context manager in which PyTorch uses this number of CPU threads.
+    """Context manager in which PyTorch uses this number of CPU threads; 0 sets none.
 
     For small layers, one thread is fastest: synchronisation costs more than parallelism gains.
     """
-    with restored_threads():
+    before = torch.get_num_threads()
+    if number:
         torch.set_num_threads(number)
+    try:
         yield
+    finally:
+        torch.set_num_threads(before)
 
 
 @contextmanager
@@ -208,3 +158,54 @@ def gpu_memory_as_error() -> Iterator[None]:
             "device cuda: not enough memory on the GPU for the run; use smaller batches "
             "(--batch-size, --minibatch-size, --num-envs), or use --device cpu"
         ) from error
+
+
+class ReplayedStep:
+    """An optimiser step that a GPU replays as a CUDA graph.
+
+    A small network's step is hundreds of kernels, and launching them one by one takes longer than
+    running them. The second call records them, and later calls of the same shapes launch them
+    together. Besides its inputs, the step may depend only on tensors on the device that stay where
+    they are, such as weights, and nothing in it may wait for the device. The values that are
+    returned are overwritten by the next call.
+    """
+
+    _shapes: Sequence[torch.Size] = ()  # of the inputs of the first call
+    _graph: torch.cuda.CUDAGraph | None = None
+    _inputs: Sequence[Tensor]  # of the graph, as are the outputs
+    _outputs: dict[str, Tensor]
+
+    def __init__(self, optimizer: Optimizer, replayed: bool) -> None:
+        """Replay steps of an optimiser, or, unless `replayed`, take each as it is."""
+        self._optimizer, self._replayed = optimizer, replayed
+
+    def __call__(self, step: Step, *inputs: Tensor) -> dict[str, Tensor]:
+        """Take a step, the same in all calls; returns the values to log."""
+        if not self._replayed:
+            return step(*inputs)
+        shapes = [tensor.shape for tensor in inputs]
+        if shapes != self._shapes:
+            self._shapes = self._shapes or shapes
+            return _take(step, inputs)
+        if self._graph is None:
+            self._graph = self._recorded(step, inputs)
+        for own, new in zip(self._inputs, inputs, strict=True):
+            own.copy_(new)
+        self._graph.replay()
+        return self._outputs
+
+    def _recorded(self, step: Step, inputs: Sequence[Tensor]) -> torch.cuda.CUDAGraph:
+        """The graph of the step with copies of the inputs; recording does not take the step."""
+        self._inputs = [tensor.clone() for tensor in inputs]
+        for group in self._optimizer.param_groups:
+            rate = torch.as_tensor(group["lr"], device=inputs[0].device)
+            group.update(lr=rate, capturable=True)
+        graph = torch.cuda.CUDAGraph()
+        with torch.cuda.graph(graph):
+            self._outputs = _take(step, self._inputs)
+        return graph
+
+
+def _take(step: Step, inputs: Sequence[Tensor]) -> dict[str, Tensor]:
+    """Take a step; the values keep nothing of its autograd graph, which belongs to a stream."""
+    return {name: value.detach() for name, value in step(*inputs).items()}

@@ -1,4 +1,4 @@
-"""Checkpoints: one safetensors file for a nested state dict, written atomically.
+"""Checkpoints: one safetensors file for the states of a run's parts, written atomically.
 
 Tensors are stored as such; everything else (optimiser settings, counters, environment states) is
 stored as JSON in the header of the same file, so that one rename replaces both. Nothing is
@@ -10,11 +10,13 @@ import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
+import torch
 from safetensors import SafetensorError
 from safetensors.torch import load, save
 from torch import Tensor
+from torch.optim import Optimizer
 
 from magical.errors import CheckpointError, CheckpointMismatchError, MagicalError
 from magical.files import read_regular, reading, write_atomically
@@ -26,6 +28,16 @@ _TENSOR = "__tensor__"
 _HEADER = "state"  # the key in the header
 MAX_BYTES = 1 << 34  # of a file
 _LENGTH = 8  # bytes at the start of a file: its header's length, little-endian
+
+
+class Stateful(Protocol):
+    """What a checkpoint can hold, such as a module or an optimiser."""
+
+    def state_dict(self) -> StateDict:
+        """The state that the next step depends on."""
+
+    def load_state_dict(self, state: Any, /) -> Any:
+        """Restore what `state_dict` returned."""
 
 
 def save_checkpoint(path: Path, state: StateDict) -> None:
@@ -94,6 +106,35 @@ def restoring(path: Path) -> Iterator[None]:
             f"{path}: the checkpoint is of another network or program; continue with the code that "
             f"saved it, or train again: {type(error).__name__}: {printable(str(error))}"
         ) from error
+
+
+def state_of(part: Stateful) -> StateDict:
+    """The state dict of a part, with string keys."""
+    state = part.state_dict()
+    if isinstance(part, Optimizer):
+        return {**state, "state": {str(index): kept for index, kept in state["state"].items()}}
+    return state
+
+
+def load_state(part: Stateful, state: Mapping[str, Any]) -> None:
+    """Restore what `state_of` returned.
+
+    An optimiser's moments get the memory layout of their parameters, so that arithmetic stays
+    bit-equal.
+    """
+    if isinstance(part, Optimizer):
+        parameters = [p for group in part.param_groups for p in group["params"]]
+        moments = {
+            int(index): {
+                name: torch.empty_like(parameters[int(index)]).copy_(value)
+                if isinstance(value, Tensor) and value.shape == parameters[int(index)].shape
+                else value
+                for name, value in kept.items()
+            }
+            for index, kept in state["state"].items()
+        }
+        state = {"state": moments, "param_groups": state["param_groups"]}
+    part.load_state_dict(state)
 
 
 def _take_tensors(node: Any, name: str, tensors: dict[str, Tensor]) -> Any:
