@@ -5,10 +5,7 @@ r"""Measures behavioural cloning end to end: making batches and learning from th
     ATEN_CPU_CAPABILITY=avx2 ONEDNN_MAX_CPU_ISA=AVX2 \
         python benchmarks/learning.py --precision float32
 
-The two ways take turns in one run: frames resampled by compiled code, and frames rendered from a
-moved camera.
-
-For each, it prints the CPU time of making a batch and of learning from it, on one thread; the
+It prints the CPU time of making a batch and of learning from it, on one thread; the
 fraction spent on making it; and samples per second with batches prefetched by a thread, as in
 `magical train bc`, and PyTorch's default number of threads.
 """
@@ -24,25 +21,21 @@ import torch
 
 from magical.demos.generate import generate
 from magical.envs import EnvId
-from magical_baselines.algorithms.bc import Batch, BCConfig, BCTrainer
-from magical_baselines.data.expert_data import sample_demonstrations
-from magical_baselines.data.prefetch import prefetch
-from magical_baselines.running.devices import choose_compute
-from magical_baselines.running.run import Run
+from magical_baselines.algorithms.bc import Batch, BCConfig, BCTrainer, sample_batch
+from magical_baselines.compute import choose_compute
+from magical_baselines.data import ExpertData, sample_demonstrations
+from magical_baselines.training import Run, prefetch
 
 TASK = "MoveToCorner"
 DEMOS = 25
 BATCHES = 30  # per round
 WARM_UP = 5  # batches
-RATE = 1e-3
-WAYS = ("resampling", "rendering")
 
 
 class Setup:
-    """One way of cloning, and its measurements."""
+    """Cloning, and its measurements."""
 
-    def __init__(self, way: str, folder: Path, precision: str, batch_size: int) -> None:
-        self.way = way
+    def __init__(self, folder: Path, precision: str, batch_size: int) -> None:
         self.config = BCConfig.preset(
             "quick",
             tasks=(TASK,),
@@ -51,23 +44,22 @@ class Setup:
             batch_size=batch_size,
             precision=precision,
             device="cpu",
-            augment_by=way,
         )
-        (folder / way).mkdir()
-        self.trainer = BCTrainer(self.config, Run(folder / way, self.config))
+        (folder / "run").mkdir()
+        self.trainer = BCTrainer(self.config, Run(folder / "run", self.config))
         self.trainer.network.train()
-        demos = self.config.demonstrations.demos
-        trajectories = sample_demonstrations(demos, (TASK,), DEMOS, 0).trajectories
-        self.data = self.trainer.expert_data(trajectories)
+        found = sample_demonstrations(self.config.demos, (TASK,), DEMOS, 0).trajectories
+        spec = self.config.observation_spec
+        self.data = ExpertData(found, (TASK,), spec, remove_noops=True)
         self.making: list[float] = []
         self.learning: list[float] = []
         self.whole: list[float] = []
 
     def make(self, number: int) -> Batch:
-        return self.trainer.sample_batch(self.data, number)
+        return sample_batch(self.config, self.data, number)
 
     def learn(self, batch: Batch) -> None:
-        self.trainer.step(batch, RATE)
+        self.trainer.update(0, batch)
 
     def measure(self, threads: int) -> None:
         """Measure one round of everything."""
@@ -99,7 +91,6 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     add = parser.add_argument
-    add("--way", nargs="+", choices=WAYS, default=WAYS)
     add("--precision", default="auto", help="auto, float32 or bfloat16")
     add("--rounds", type=int, default=5)
     add("--batch-size", type=int, default=32)
@@ -111,18 +102,14 @@ def main() -> None:
         folder = Path(name)
         generate(EnvId(TASK, "Demo"), DEMOS, folder / "demos", seed=0, min_score=1.0)
         size = arguments.batch_size
-        setups = [Setup(way, folder, arguments.precision, size) for way in arguments.way]
+        setup = Setup(folder, arguments.precision, size)
         for _ in range(arguments.rounds):
-            for setup in setups:
-                setup.measure(threads)
-    first = median(setups[0].whole)
-    print("| way | making, ms | learning, ms | share | samples/s | ratio |")
-    for setup in setups:
-        making, learning, whole = map(median, (setup.making, setup.learning, setup.whole))
-        print(
-            f"| {setup.way} | {1e3 * making:.1f} | {1e3 * learning:.1f} "
-            f"| {making / (making + learning):.0%} | {size / whole:.0f} | {first / whole:.2f} |"
-        )
+            setup.measure(threads)
+    making, learning, whole = map(median, (setup.making, setup.learning, setup.whole))
+    print(
+        f"making {1e3 * making:.1f} ms, learning {1e3 * learning:.1f} ms, "
+        f"share {making / (making + learning):.0%}, {size / whole:.0f} samples/s"
+    )
 
 
 if __name__ == "__main__":

@@ -56,7 +56,9 @@ from studies.plan_results import LEADERBOARD
 
 COLLECTED = "collected"  # key in `plan.json`: what is known about the runs
 VARIED = ("tasks", "seed")  # settings in which runs of a method differ
-LEFT = {"init_from": ""}  # options that are no more, with the value that does nothing
+# Options that are no more, with the value that makes a run what today's are.
+LEFT: dict[str, Any] = {"init_from": "", "augment_by": "resampling", "transform": "none"}
+LEFT |= {"augment_scale": 1.0, "average_decay": 0.0}
 DIGITS = 10  # hexadecimal digits of a digest of settings
 
 
@@ -88,8 +90,9 @@ class Collected:
     def __post_init__(self) -> None:
         for settings in self.settings.values():
             config = settings["config"]
-            for name in [name for name, value in LEFT.items() if config.get(name) == value]:
-                del config[name]
+            if config.get("augment_by") == "auto" and settings["expert_demos"] is None:
+                config["augment_by"] = "resampling"  # as recorded frames were
+            settings["config"] = dict(each for each in config.items() if each not in LEFT.items())
 
     @classmethod
     def read(cls, folder: Path) -> "Collected":

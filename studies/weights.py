@@ -24,8 +24,8 @@ from magical.evaluation import Entry, read_entry
 from magical.files import sha256_sum, write_atomically
 from magical.runs.folder import CHECKPOINT, CONFIG, RECORD, read_json, write_json
 from magical.runs.plan import RUNS
-from magical_baselines.experiments.results import DONE, read_state
 from magical_baselines.checkpoints import load_checkpoint, save_checkpoint
+from magical_baselines.experiments.results import DONE, read_state
 from studies.collect import Collected
 
 WEIGHTS = "weights.json"  # in the folder of collected results

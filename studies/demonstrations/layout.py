@@ -24,10 +24,10 @@ from magical.runs.folder import CHECKPOINT
 from magical.runs.plan import RUNS
 from magical_baselines import train
 from magical_baselines.algorithms.ppo import ReinforcementConfig
-from magical_baselines.experiments.plan import PlannedRun, planned_runs, read_plan
-from magical_baselines.experiments.results import opened
 from magical_baselines.checkpoints import load_checkpoint
 from magical_baselines.compute import cpu_threads
+from magical_baselines.experiments.plan import PlannedRun, planned_runs, read_plan
+from magical_baselines.experiments.results import opened
 
 CURVE = "layout.csv"  # in a run's folder: environment steps, mean score
 

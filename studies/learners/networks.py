@@ -55,7 +55,6 @@ def configuration(arguments: argparse.Namespace, network: str, task: str, seed: 
         threads=1,
         checkpoint_every=EVERY,
         precision=arguments.precision,
-        augment_by=arguments.augment_by,
     )
 
 
@@ -156,7 +155,6 @@ def main() -> None:
     add("--task", nargs="+", choices=TASKS, default=list(TASKS), metavar="TASK")
     add("--seeds", nargs="+", type=int, default=[0, 1, 2], metavar="S", help="0 1 2")
     add("--precision", default="auto", help="auto, float32 or bfloat16")
-    add("--augment-by", default="auto", help="see magical train bc")
     add("--speed", action="store_true", help="measure the time of a batch; print the table")
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from magical.demos.human.recovery.edges import EdgeFinder
 from magical.errors import MagicalError
 from magical.render import Renderer
-from magical.render.moved_camera import MovedCamera
 from magical.scene import Pose, Scene, View
 from tests.render.cases import random_case
 
@@ -71,22 +70,6 @@ def plain(scene: Scene, bodies: Bodies, rng: np.random.Generator) -> None:
     renderer.render_stacked(bodies, np.zeros((size, size, channels), np.uint8))
 
 
-def moved(scene: Scene, bodies: Bodies, rng: np.random.Generator) -> None:
-    size = int(rng.choice(SIZES))
-    camera = MovedCamera(scene, View(rng.choice(list(View))), size, int(rng.choice(SAMPLES)))
-    out = np.zeros((3, size, size, 9), np.float32)
-    camera.render(
-        np.broadcast_to(bodies, (2, 3, *bodies.shape)),
-        rng.uniform(-4.0, 4.0, 2),
-        rng.uniform(-2.0, 2.0, (2, 2)),
-        np.stack([camera.palette] * 2),
-        rng.integers(2, size=2).astype(bool),
-        out,
-        np.array([2, 0]),
-        0,
-    )
-
-
 def searched(scene: Scene, bodies: Bodies, rng: np.random.Generator) -> None:
     view, frame = View(rng.choice(list(View))), np.zeros((384, 384, 3), np.uint8)
     finder, wanted = EdgeFinder(scene, view), np.ones(len(bodies), np.bool_)
@@ -105,7 +88,7 @@ def outcome(number: int) -> str:
         else:
             bodies = poses.bodies
         changed = mutated_bodies(bodies, rng) if rng.integers(3) else bodies
-        (plain, moved, searched)[rng.integers(3)](scene, changed, rng)
+        (plain, searched)[rng.integers(2)](scene, changed, rng)
     except MagicalError:
         return "refused"
     return "rendered"

@@ -6,7 +6,7 @@ import pytest
 from magical.physics.robot import COMMANDS, command
 from magical.scene import NUM_ACTIONS, to_continuous, to_discrete
 from magical.scene import constants as c
-from magical.scene.actions import ACTION_NAMES
+from magical.scene.actions import ACTION_NAMES, MIRRORED_ACTIONS
 
 
 def test_the_discrete_actions_are_points_and_back() -> None:
@@ -42,3 +42,10 @@ def test_commands_are_the_published_speeds_and_linear_in_between() -> None:
     assert half == (c.DRIVE_SPEED_FORWARD / 2, -c.TURN_LEAD, c.FINGER_OPEN / 2)
     assert limit == c.TURN_MAX_BIAS / 2
     assert command((-0.5, 0.0, 1.0)) == ((c.DRIVE_SPEED_BACK / 2, 0.0, 0.0), c.TURN_MAX_BIAS)
+
+
+def test_mirrored_actions_turn_the_other_way() -> None:
+    for action, mirrored in enumerate(MIRRORED_ACTIONS):
+        words = ACTION_NAMES[action].split("-")
+        words[1] = {"left": "right", "right": "left"}.get(words[1], words[1])
+        assert ACTION_NAMES[mirrored] == "-".join(words)

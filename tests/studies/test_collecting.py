@@ -224,8 +224,8 @@ def test_runs_from_before_an_option_existed_are_the_plans(
     monkeypatch.setattr(collect_results, "Evaluation", partial(Evaluation, rollouts=1))
     list(collect_results.collect([copied], out, tiny, leaderboard=True))
     before, names = entries(out), [run.folder for run in planned()]
-    text = (out / "plan.json").read_text().replace('"average_decay": 0.0,', "")
-    assert "average_decay" not in text
+    text = (out / "plan.json").read_text().replace('"conventions": "appendix",', "")
+    assert "conventions" not in text
     earlier = {name: f"{name[:-10]}0123456789" for name in names}
     for name in names:
         text = text.replace(name, earlier[name])
@@ -238,8 +238,14 @@ def test_runs_from_before_an_option_existed_are_the_plans(
     assert set(known(out)["runs"]) == set(names)
 
 
+# Their augmented frames were rendered, as no run does now.
+RENDERED = {"bc-transformations", "held-out", "sequence-learners-hundred"}
+
+
 def test_all_that_was_collected_is_of_todays_plans(root: Path) -> None:
     for path in root.glob("studies/*/results/*/plan.json"):
+        if path.parent.name in RENDERED:
+            continue
         collected = collect_results.Collected(**json.loads(path.read_text())["collected"])
         plan = path.parents[2] / "plans" / f"{path.parent.name}.toml"
         planned = {run.folder: run for run in planned_runs(read_study_plan(plan))}

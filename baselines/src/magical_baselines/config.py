@@ -26,7 +26,7 @@ from typing import (
 import numpy as np
 from msgspec import Meta
 
-from magical.errors import InvalidConfigError, RunFolderError, UnknownNameError
+from magical.errors import InvalidConfigError, PluginError, RunFolderError, UnknownNameError
 from magical.messages import quoted
 from magical.observe import PRESETS, STATE, ObservationSpec, make_spec
 from magical.observe.presets import GROUP as OBSERVATIONS
@@ -263,14 +263,22 @@ class Config:
 
 
 @cache  # each call would evaluate every annotation again
-def type_hints(kind: type[Config]) -> dict[str, Any]:
+def type_hints(kind: Any) -> dict[str, Any]:
     """The types of the fields of a configuration class."""
     return get_type_hints(kind, include_extras=True)
 
 
 def options(kind: type[Config]) -> list[Field]:
-    """The fields that are options, in order: `name`, `default`, and the help in `metadata`."""
-    return [field for field in dataclasses.fields(kind) if field.metadata]
+    """The fields that are options, in order: `name`, `default`, and the help in `metadata`.
+
+    Raises:
+        PluginError: another field than `algorithm` was not made by `option`.
+    """
+    fields = [field for field in dataclasses.fields(kind) if field.name != "algorithm"]
+    for field in fields:
+        if not field.metadata:
+            raise PluginError(f"{kind.__name__}.{field.name}: expected option(...), found none")
+    return fields
 
 
 def _plain(value: Any, hint: Any) -> Any:

@@ -179,9 +179,9 @@ class RolloutEnvs:
         seeds = sample_training_seeds(rng, self.envs.num_envs)
         self._observations, _ = self.envs.reset(seed=seeds)
         delays = rng.integers(self._horizons)
-        for time in range(delays.max()):
+        for step in range(delays.max()):
             actions = rng.integers(NUM_ACTIONS, size=self.envs.num_envs)
-            self._observations, *_ = self.envs.step(actions, active=time < delays)
+            self._observations, *_ = self.envs.step(actions, active=step < delays)
 
     def observations(self) -> Tensor:
         """The current observations (N, ...) in the network's layout, still on the CPU."""

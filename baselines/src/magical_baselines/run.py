@@ -151,7 +151,6 @@ def opened_trackers(names: Sequence[str], run: Run) -> Iterator[Callback | None]
             writer = SummaryWriter(str(run.folder / TENSORBOARD), purge_step=run.step + 1)
             stack.enter_context(writer)
 
-
             def send_scalars(numbers: Mapping[str, float], step: int) -> None:
                 for name, number in numbers.items():
                     writer.add_scalar(name, number, step)

@@ -7,8 +7,8 @@ import torch
 
 from magical.tasks import TASKS
 from magical_baselines.algorithms.bc import BCConfig, bc_loss, make_policy
-from magical_baselines.models import PolicyNetwork
 from magical_baselines.compute import Compute, choose_device, cpu_threads, full_float32
+from magical_baselines.models import PolicyNetwork
 
 WARM_UP = 2  # batches before the first that is timed
 

@@ -374,7 +374,7 @@ def fit(
     update: Callable[[int, T], Mapping[str, Tensor]],
     *,
     until: int | None = None,
-    extra_metrics: Metrics = {},
+    extra_metrics: Mapping[str, float | str] = {},
 ) -> bool:
     """Train on batches, from the run's step to the last one, or until the run stops.
 

@@ -63,13 +63,6 @@ def test_every_grey_and_many_colours_of_uint8_agree_with_scikit_image(
 ) -> None:
     images = np.random.default_rng(1).integers(0, 256, (4, 6, 16, 16), dtype=np.uint8)
     images[:, :3] = np.arange(256, dtype=np.uint8).reshape(16, 16)
-    ours = colour_jitter(torch.from_numpy(images), *factors, linear_light).numpy()
+    ours = colour_jitter(torch.from_numpy(images) / 255.0, *factors, linear_light).numpy()
     expected = reference(images / 255.0, *factors, linear_light)
     assert np.abs(ours - expected).max() < TOLERANCE
-
-
-def test_input_is_left_alone() -> None:
-    images = torch.rand(1, 3, 4, 4, generator=torch.Generator().manual_seed(0))
-    before = images.clone()
-    colour_jitter(images, np.full(1, 1.01), np.full(1, 0.1))
-    assert torch.equal(images, before)

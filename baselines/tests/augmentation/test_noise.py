@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from magical_baselines.augmentation.noise import add_noise
+from magical_baselines.augmentation.kernels import add_noise
 
 SEEDS = np.array([3, 4, 5, 6], np.uint64)
 COUNT = 500_000

@@ -4,9 +4,9 @@ from typing import Any
 
 import pytest
 
+from magical_baselines.compute import Compute
 from magical_baselines.experiments.forecast import estimate
 from magical_baselines.experiments.plan import Method, Plan, planned_runs
-from magical_baselines.running.devices import Compute
 
 SPEED = 100.0  # samples a second, forward and backward
 ROLLOUT_STEPS = 100 * 6 * 80  # MoveToCorner: rollouts, variants, horizon
@@ -25,8 +25,8 @@ def measured(monkeypatch: pytest.MonkeyPatch) -> list[str]:
             Compute("cpu", precision, threads[0]): SPEED for precision in ("float32", "bfloat16")
         }
 
-    monkeypatch.setattr("magical_baselines.running.speed.training_speeds", speeds)
-    monkeypatch.setattr("magical_baselines.running.devices.choose_device", lambda _: "cpu")
+    monkeypatch.setattr("magical_baselines.speed.training_speeds", speeds)
+    monkeypatch.setattr("magical_baselines.compute.choose_device", lambda _: "cpu")
     return networks
 
 
@@ -84,7 +84,7 @@ def test_learners_of_state_vectors_are_timed_in_float32(monkeypatch: pytest.Monk
         (n,) = threads
         return {Compute("cpu", "float32", n): SPEED, Compute("cpu", "bfloat16", n): SPEED / 10}
 
-    monkeypatch.setattr("magical_baselines.running.speed.training_speeds", speeds)
-    monkeypatch.setattr("magical_baselines.running.devices.has_bfloat16", lambda _: True)
+    monkeypatch.setattr("magical_baselines.speed.training_speeds", speeds)
+    monkeypatch.setattr("magical_baselines.compute.has_bfloat16", lambda _: True)
     assert seconds("ppo", "states") == seconds("ppo", "states", precision="float32")
     assert seconds("ppo", "quick") > seconds("ppo", "quick", precision="float32")

@@ -1,12 +1,8 @@
 """The 8-bit colours of everything rendered (docs/specification.md, section 6)."""
 
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
-from magical.scene.vocabulary import COLOURS, Colour
+from magical.scene.vocabulary import Colour
 
 RGB = tuple[int, int, int]
 
@@ -34,22 +30,6 @@ GREY_OUTLINE: RGB = (144, 145, 159)
 OUTSIDE: RGB = (231, 231, 234)  # around the workspace, and the inside of the fingers
 WHITE: RGB = (255, 255, 255)  # the workspace and the eyes
 PUPIL: RGB = (26, 26, 26)
-
-
-def permuted(palette: NDArray[np.uint8], colours: Sequence[Colour]) -> NDArray[np.uint8]:
-    """A palette (n, 3) in which each of `COLOURS`, in all its shades, is replaced by another.
-
-    Args:
-        palette: 8-bit RGB.
-        colours: the replacement for each of `COLOURS`, in their order.
-    """
-    new: dict[tuple[int, ...], RGB] = {
-        old: changed
-        for colour, other in zip(COLOURS, colours, strict=True)
-        for old, changed in zip(SHADES[colour], SHADES[other], strict=True)
-    }
-    entries: list[Any] = [tuple(map(int, entry)) for entry in palette]
-    return np.array([new.get(entry, entry) for entry in entries], np.uint8)
 
 
 def lanes(colour: RGB) -> int:

@@ -57,6 +57,5 @@ TASK = Task(
     score_fn=PROGRAM.score,
     max_blocks=1,
     max_regions=0,
-    mirror_symmetric=False,
     validate_fn=validate,
 )

@@ -56,7 +56,6 @@ class Task:
     published_score_fn: ScoreFn | None = None  # the published code's, if different (section 9)
     max_blocks: int  # over all variants
     max_regions: int  # over all variants
-    mirror_symmetric: bool = True  # whether mirror images of its scenes are scenes of the task
     program: Goal | None = None  # what the task asks for, in the language of goals
     # The reason why a scene does not fit, or "". The dense reward of a program means nothing in
     # scenes for which `magical.tasks.programs.problem` gives a reason, and is NaN if there is no

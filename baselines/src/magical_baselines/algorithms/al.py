@@ -253,12 +253,7 @@ def make_autoencoder(config: ALConfig) -> "Autoencoder":
 
 
 class Autoencoder(nn.Module):
-    """Encodes images (B, C, 96, 96) and actions (B,) as features (B, 32), and decodes them.
-
-    Attributes:
-        mean_image: (C, 96, 96), the image added to the decoder's output; initially where the
-            encoder's pixels are 0, which is mid grey by the published code's conventions.
-    """
+    """Encodes images (B, C, 96, 96) and actions (B,) as features (B, 32), and decodes them."""
 
     def __init__(self, config: ALConfig) -> None:
         """Build an autoencoder, with PyTorch's initialisation.
@@ -286,8 +281,7 @@ class Autoencoder(nn.Module):
         self.start = nn.Sequential(nn.Linear(HIDDEN, HIDDEN), start) if published else start
         self.image = _image_decoder(image_shape[0], published)
         self.scale = 0.5 if published else 1.0  # from the encoder's range of pixels to [0, 1]
-        self.mean_image: Tensor
-        self.register_buffer("mean_image", torch.full(image_shape, 0.5 if published else 0.0))
+        self.middle = 0.5 if published else 0.0  # where the encoder's pixels are 0
         # Convolutions are fastest with this memory layout; PyTorch's typed overloads lack it.
         self.image.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
@@ -296,7 +290,7 @@ class Autoencoder(nn.Module):
         hidden = self.hidden(self.encoder(images, actions))
         start = self.start(hidden).view(-1, *START)
         difference = self.image(start.contiguous(memory_format=torch.channels_last))
-        return self.scale * difference.float() + self.mean_image, self.action(hidden)
+        return self.scale * difference.float() + self.middle, self.action(hidden)
 
 
 def _image_decoder(channels: int, published: bool) -> nn.Sequential:

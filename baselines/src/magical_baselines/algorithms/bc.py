@@ -23,7 +23,6 @@ from magical_baselines.config import (
 from magical_baselines.data import ExpertData, TaskTrajectories, load_demonstrations
 from magical_baselines.models import PolicyNetwork, Trunk, init_normal
 from magical_baselines.training import (
-    Metrics,
     Purpose,
     Run,
     anneal,
@@ -108,7 +107,7 @@ class BCTrainer:
         self,
         demonstrations: TaskTrajectories,
         until: int | None = None,
-        extra_metrics: Metrics = {},
+        extra_metrics: Mapping[str, float | str] = {},
     ) -> bool:
         """Train on all but no-ops, from the run's step to step `until`, by default the last.
 

@@ -1,4 +1,4 @@
-"""Chunks of actions: samples to learn from, training, and policies whose network predicts chunks."""
+"""Chunks of actions: batches, training, and policies whose network predicts chunks."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

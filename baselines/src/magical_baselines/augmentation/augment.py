@@ -2,12 +2,10 @@
 
 Parameters are sampled once per frame stack; only noise is sampled for every pixel and channel. The
 order is colour jitter, one combined rotation and translation, noise, clamp (docs/specification.md,
-section 10). 8-bit images on a CPU are augmented by compiled code, all others in batches by PyTorch
-on their own device; tests compare the compiled code with PyTorch as the reference.
+section 10). Images on a CPU are augmented by compiled code, those on a GPU by PyTorch.
 """
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -17,10 +15,9 @@ from torch.nn.functional import affine_grid, grid_sample
 
 from magical.errors import InvalidConfigError
 from magical.render.output import CHANNELS
-from magical_baselines.augmentation.colour import colour_jitter
+from magical_baselines.augmentation.colour import colour_jitter, root_maps
+from magical_baselines.augmentation.kernels import add_noise, resample
 from magical_baselines.augmentation.names import Augmentations
-from magical_baselines.augmentation.noise import add_noise
-from magical_baselines.augmentation.resampling import resample
 
 NOISE_STD = 0.01  # of the range [0, 1]
 MAX_TRANSLATION = 0.05  # of the image's width and height
@@ -29,25 +26,24 @@ MAX_LIGHTNESS_CHANGE = 0.01  # factors from 0.99 to 1.01
 MAX_COLOUR_ROTATION = 0.15  # rad in the (a, b) plane
 
 PADDING_MODES = {"mirror": "reflection", "repeat": "border"}  # PyTorch's names
-NUM_PARAMETERS = 5  # per stack
 
 Floats = NDArray[np.float64]
+Parameters = tuple[Floats, Floats, Floats, Floats]  # as of `sample_parameters`
 
 
 def augment(
     images: Tensor, which: Augmentations, rng: np.random.Generator, together: int = 1
 ) -> Tensor:
-    """Augment a batch of frame stacks; uint8 stacks on a CPU in compiled code.
+    """Augment a batch of frame stacks.
 
     Args:
-        images: (B, 3 * frames, H, W), uint8 or float in [0, 1]. Not changed.
+        images: (B, 3 * frames, H, W), uint8. Not changed.
         which: the augmentations to apply.
         rng: the source of all random numbers.
         together: the number of consecutive stacks that share their parameters.
 
     Returns:
-        (B, 3 * frames, H, W) float32 in [0, 1], in channels-last memory. Uint8 is scaled from
-        [0, 255] whichever augmentations are on.
+        (B, 3 * frames, H, W) float32 in [0, 1], in channels-last memory.
     """
     if which.colour and images.shape[1] % CHANNELS:
         raise InvalidConfigError(
@@ -55,24 +51,50 @@ def augment(
             "leave out colour"
         )
     parameters = sample_parameters(len(images), which, rng, together)
-    if images.device.type == "cpu" and images.dtype == torch.uint8:
-        return resampled(images, which, parameters, noise_seeds(len(images), rng))
+    if images.device.type == "cpu":
+        seeds = rng.integers(2**64, size=len(images), dtype=np.uint64)
+        return augment_compiled(images, which, parameters, seeds)
     generator = torch.Generator(images.device).manual_seed(int(rng.integers(2**63)))
     return augment_in_pytorch(images, which, parameters, generator)
 
 
-def resampled(
-    images: Tensor, which: Augmentations, parameters: "Parameters", seeds: NDArray[np.uint64]
+def sample_parameters(
+    count: int, which: Augmentations, rng: np.random.Generator, together: int = 1
+) -> Parameters:
+    """Sample the parameters of a batch; every `together` consecutive stacks share theirs.
+
+    All are sampled whatever is switched on, so that ablations share random numbers.
+
+    Returns:
+        Factors of the lightness (B,); rotations in the (a, b) plane (B,) in radians; rotations (B,)
+        in radians, counter-clockwise as seen; shifts (B, 2) to the right and down, as fractions of
+        width and height.
+    """
+    unit = rng.uniform(-1.0, 1.0, (count // together, 5)).repeat(together, axis=0)
+    return (
+        1.0 + MAX_LIGHTNESS_CHANGE * unit[:, 0],
+        MAX_COLOUR_ROTATION * unit[:, 1],
+        MAX_ROTATION * unit[:, 2] * which.rotation,
+        MAX_TRANSLATION * unit[:, 3:5] * which.translation,
+    )
+
+
+def augment_compiled(
+    images: Tensor, which: Augmentations, parameters: Parameters, seeds: NDArray[np.uint64]
 ) -> Tensor:
-    """`augment` in compiled code, for uint8 images on a CPU; `seeds` (B,) are for the noise."""
+    """`augment` on a CPU; `seeds` (B,) are for the noise."""
     batch, channels, height, width = images.shape
+    lightness, hues, angles, shifts = parameters
     out = np.empty((batch, height, width, channels), np.float32)
     inverses = None
     if which.translation or which.rotation:
-        angles = torch.from_numpy(parameters.angles)
-        maps = inverse_maps(angles, torch.from_numpy(parameters.shifts), height, width)
-        inverses = in_pixels(maps.numpy(), height, width)
-    jitter = (parameters.lightness, parameters.hues) if which.colour else None
+        maps = inverse_maps(angles, shifts, height, width).numpy()
+        half = np.array([width / 2.0, height / 2.0])
+        linear = maps[:, :, :2] * half[:, None] / half
+        # From coordinates between -1 and 1 to pixels, whose centres are at whole numbers.
+        offset = maps[:, :, 2] * half + (half - 0.5) - linear @ (half - 0.5)
+        inverses = np.concatenate([linear, offset[:, :, None]], axis=2)
+    jitter = root_maps(lightness, hues) if which.colour else None
     mirror = which.borders == "mirror"
     resample(images.numpy(), inverses, jitter, which.linear_light, mirror, out)
     if which.noise:
@@ -81,14 +103,15 @@ def resampled(
 
 
 def augment_in_pytorch(
-    images: Tensor, which: Augmentations, parameters: "Parameters", generator: torch.Generator
+    images: Tensor, which: Augmentations, parameters: Parameters, generator: torch.Generator
 ) -> Tensor:
-    """`augment` in PyTorch, on any device; the generator is for the noise."""
-    if which.colour:
-        images = colour_jitter(images, parameters.lightness, parameters.hues, which.linear_light)
+    """`augment` on a GPU; the generator is for the noise."""
+    lightness, hues, angles, shifts = parameters
     images = to_unit(images)
+    if which.colour:
+        images = colour_jitter(images, lightness, hues, which.linear_light)
     if which.translation or which.rotation:
-        images = warp(images, parameters.angles, parameters.shifts, which.borders)
+        images = warp(images, angles, shifts, which.borders)
     if which.noise:
         noise = torch.empty_like(images).normal_(0.0, NOISE_STD, generator=generator)
         images = noise.add_(images).clamp_(0.0, 1.0)
@@ -115,61 +138,19 @@ def warp(images: Tensor, angles: Floats, shifts: Floats, borders: str = "mirror"
     Returns:
         (B, C, H, W), bilinearly interpolated.
     """
-    height, width = images.shape[2:]
-    # grid_sample expects the inverse map: from output to input coordinates, each from -1 to 1.
-    turns, moves = (torch.as_tensor(v, device=images.device) for v in (angles, shifts))
-    theta = inverse_maps(turns, moves, height, width).to(images.dtype)
+    theta = inverse_maps(angles, shifts, *images.shape[2:]).to(images)
     grid = affine_grid(theta, list(images.shape), align_corners=False)
     return grid_sample(images, grid, padding_mode=PADDING_MODES[borders], align_corners=False)
 
 
-def inverse_maps(angles: Tensor, shifts: Tensor, height: int, width: int) -> Tensor:
+def inverse_maps(angles: Floats, shifts: Floats, height: int, width: int) -> Tensor:
     """The affine maps from output to input coordinates, for arguments as in `warp`: (B, 2, 3).
 
-    Both coordinates, right and down, range from -1 to 1.
+    Both coordinates, right and down, range from -1 to 1, as `grid_sample` expects.
     """
-    cos, sin = angles.cos(), angles.sin()
+    turns = torch.from_numpy(angles)
+    cos, sin = turns.cos(), turns.sin()
     rows = [cos, -sin * (height / width), sin * (width / height), cos]
     rotation = torch.stack(rows, dim=1).view(-1, 2, 2)
-    translation = -2.0 * (rotation @ shifts[:, :, None])
+    translation = -2.0 * (rotation @ torch.from_numpy(shifts)[:, :, None])
     return torch.cat([rotation, translation], dim=2)
-
-
-def in_pixels(maps: Floats, height: int, width: int) -> Floats:
-    """Convert these maps (B, 2, 3) to columns and rows, with pixel centres at whole numbers."""
-    half = np.array([width / 2.0, height / 2.0])
-    linear = maps[:, :, :2] * half[:, None] / half
-    centre = half - 0.5
-    offset = maps[:, :, 2] * half + centre - linear @ centre
-    return np.concatenate([linear, offset[:, :, None]], axis=2)
-
-
-@dataclass(frozen=True, slots=True)
-class Parameters:
-    """Augmentation parameters, one row per stack."""
-
-    lightness: Floats  # (B,) factors
-    hues: Floats  # (B,) rotations in the (a, b) plane, rad
-    angles: Floats  # (B,) rad, counter-clockwise as seen
-    shifts: Floats  # (B, 2), right and down, fractions of width and height
-
-
-def sample_parameters(
-    count: int, which: Augmentations, rng: np.random.Generator, together: int = 1
-) -> Parameters:
-    """Sample the parameters of a batch; every `together` consecutive stacks share theirs.
-
-    All columns are sampled whatever is switched on, so that ablations share random numbers.
-    """
-    unit = rng.uniform(-1.0, 1.0, (count // together, NUM_PARAMETERS)).repeat(together, axis=0)
-    return Parameters(
-        lightness=1.0 + MAX_LIGHTNESS_CHANGE * unit[:, 0],
-        hues=MAX_COLOUR_ROTATION * unit[:, 1],
-        angles=MAX_ROTATION * which.scale * unit[:, 2] * which.rotation,
-        shifts=MAX_TRANSLATION * which.scale * unit[:, 3:5] * which.translation,
-    )
-
-
-def noise_seeds(count: int, rng: np.random.Generator) -> NDArray[np.uint64]:
-    """A noise seed for each stack of a batch: (B,)."""
-    return rng.integers(2**64, size=count, dtype=np.uint64)

@@ -1,15 +1,13 @@
-"""CIE Lab colour jitter: its affine map, and its use on image batches in PyTorch, on any device.
+"""CIE Lab colour jitter as an affine map, and its use on image batches in PyTorch (on a GPU).
 
 In CIE 1976 Lab both lightness and the (a, b) plane are linear in the three cube roots of the
 normalised XYZ values, so scaling L and rotating (a, b) is one affine map of these roots: Lab itself
 is never computed. Source: appendix B, "Colour jitter"; sRGB as in IEC 61966-2-1, white point D65
 for the 2 degree observer.
-
-In PyTorch, powers are computed as exp(c * log(x)), several times faster than `pow` on a CPU.
 """
 
 import math
-from functools import cache
+from typing import Any
 
 import numpy as np
 import torch
@@ -33,6 +31,7 @@ LAB_TO_ROOTS = np.linalg.inv(ROOTS_TO_LAB)
 
 # Near black, below these arguments, the power functions are replaced by straight lines.
 ROOT_KNEE, ROOT_SLOPE = 0.008856, 7.787
+ROOT_OF_KNEE = math.cbrt(ROOT_KNEE)
 GAMMA, GAMMA_SCALE, GAMMA_OFFSET = 2.4, 1.055, 0.055
 GAMMA_KNEE, GAMMA_SLOPE = 0.0031308, 12.92
 
@@ -61,10 +60,26 @@ def root_maps(scales: Floats, hues: Floats) -> tuple[Floats, Floats]:
     return scale * LIGHTNESS + cos * COSINE + sin * SINE, (scales[:, None] - 1.0) * OFFSET
 
 
-def decode_gamma(encoded: Floats) -> Floats:
-    """Map sRGB values in [0, 1] to linear light."""
+def decode_gamma(encoded: Any) -> Any:
+    """Map sRGB values in [0, 1], of an array or a tensor, to linear light."""
+    above = encoded > GAMMA_KNEE * GAMMA_SLOPE
     curve = ((encoded + GAMMA_OFFSET) / GAMMA_SCALE) ** GAMMA
-    return np.where(encoded > GAMMA_KNEE * GAMMA_SLOPE, curve, encoded / GAMMA_SLOPE)
+    return above * curve + ~above * (encoded / GAMMA_SLOPE)
+
+
+def _encode_gamma(linear: Tensor) -> Tensor:
+    curve = GAMMA_SCALE * linear ** (1.0 / GAMMA) - GAMMA_OFFSET
+    return torch.where(linear > GAMMA_KNEE, curve, GAMMA_SLOPE * linear)
+
+
+def _to_roots(values: Tensor) -> Tensor:
+    line = ROOT_OF_KNEE + ROOT_SLOPE * (values - ROOT_KNEE)
+    return torch.where(values > ROOT_KNEE, values ** (1.0 / 3.0), line)
+
+
+def _from_roots(roots: Tensor) -> Tensor:
+    line = ROOT_KNEE + (roots - ROOT_OF_KNEE) / ROOT_SLOPE
+    return torch.where(roots > ROOT_OF_KNEE, roots * roots * roots, line)
 
 
 def colour_jitter(
@@ -73,64 +88,20 @@ def colour_jitter(
     """Scale the lightness and rotate the (a, b) plane of each stack of frames.
 
     Args:
-        images: (B, 3 * frames, H, W) sRGB, uint8 or float in [0, 1].
+        images: (B, 3 * frames, H, W) float sRGB in [0, 1].
         scales: (B,) factors for L.
         hues: (B,) angles in radians, from a towards b.
         linear_light: decode sRGB to linear light before the conversion to XYZ, as the definition
             of XYZ requires, and encode it afterwards.
 
     Returns:
-        Float images of the same shape, clamped to [0, 1]; all frames of a stack are changed alike.
+        Images of the same shape, clamped to [0, 1]; all frames of a stack are changed alike.
     """
-    batch, channels, height, width = images.shape
-    linear = _decode_gamma(images) if linear_light else _to_float(images)
-    linear = linear.reshape(batch, channels // 3, 3, height * width)
-    to_xyz, from_xyz, lightness, cosine, sine, offset = _constants(images.device, linear.dtype)
-    # As in `root_maps`.
-    scale, hue = (torch.as_tensor(v).to(offset)[:, None, None] for v in (scales, hues))
-    matrices = scale * lightness + hue.cos() * cosine + hue.sin() * sine  # (B, 3, 3)
-    offsets = (scale - 1.0) * offset  # (B, 1, 3)
-    roots = _to_roots(torch.matmul(to_xyz, linear))  # (B, frames, 3, H * W)
-    roots = torch.matmul(matrices[:, None], roots).add_(offsets[..., None])
-    linear = torch.matmul(from_xyz, _from_roots(roots))
-    out = _encode_gamma(linear) if linear_light else linear
-    return out.clamp_(0.0, 1.0).reshape(images.shape)
-
-
-@cache
-def _constants(device: torch.device, dtype: torch.dtype) -> tuple[Tensor, ...]:
-    """The maps' constants on a device, copied there once."""
-    arrays = TO_TRISTIMULUS, FROM_TRISTIMULUS, LIGHTNESS, COSINE, SINE, OFFSET
-    return tuple(torch.from_numpy(array).to(device, dtype) for array in arrays)
-
-
-def _to_float(images: Tensor) -> Tensor:
-    return images / 255.0 if images.dtype == torch.uint8 else images
-
-
-def _decode_gamma(images: Tensor) -> Tensor:
-    """Map sRGB to linear light; uint8 through a lookup table."""
-    if images.dtype == torch.uint8:
-        table = _decode_gamma(torch.arange(256, device=images.device) / 255.0)
-        return table.index_select(0, images.flatten().int()).view(images.shape)
-    knee = GAMMA_KNEE * GAMMA_SLOPE
-    curve = images.clamp(min=knee).add_(GAMMA_OFFSET).div_(GAMMA_SCALE).log_().mul_(GAMMA).exp_()
-    return curve.add_(images.clamp(max=knee).sub_(knee), alpha=1.0 / GAMMA_SLOPE)
-
-
-def _encode_gamma(linear: Tensor) -> Tensor:
-    curve = linear.clamp(min=GAMMA_KNEE).log_().mul_(1.0 / GAMMA).exp_().mul_(GAMMA_SCALE)
-    line = linear.clamp_(max=GAMMA_KNEE)
-    return curve.add_(line, alpha=GAMMA_SLOPE).sub_(GAMMA_OFFSET + GAMMA_SLOPE * GAMMA_KNEE)
-
-
-def _to_roots(values: Tensor) -> Tensor:
-    curve = values.clamp(min=ROOT_KNEE).log_().mul_(1.0 / 3.0).exp_()
-    return curve.add_(values.clamp_(max=ROOT_KNEE).sub_(ROOT_KNEE), alpha=ROOT_SLOPE)
-
-
-def _from_roots(roots: Tensor) -> Tensor:
-    knee = math.cbrt(ROOT_KNEE)
-    curve = roots.clamp(min=knee)
-    curve *= curve * curve
-    return curve.add_(roots.clamp_(max=knee).sub_(knee), alpha=1.0 / ROOT_SLOPE)
+    arrays = TO_TRISTIMULUS, FROM_TRISTIMULUS, *root_maps(scales, hues)
+    to_xyz, from_xyz, matrices, offsets = (torch.from_numpy(array).to(images) for array in arrays)
+    linear = decode_gamma(images) if linear_light else images
+    colours = linear.reshape(len(images), -1, 3, images.shape[2] * images.shape[3])
+    roots = _to_roots(to_xyz @ colours)  # (B, frames, 3, H * W)
+    changed = from_xyz @ _from_roots(matrices[:, None] @ roots + offsets[:, None, :, None])
+    out = _encode_gamma(changed) if linear_light else changed
+    return out.clamp(0.0, 1.0).reshape(images.shape)

@@ -16,7 +16,6 @@ class Augmentations:
     colour: bool = True
     borders: str = "mirror"  # beyond the image: "mirror" it, or "repeat" its outermost pixels
     linear_light: bool = True  # decode sRGB before the conversion to CIE Lab
-    scale: float = 1.0  # factor of the ranges of translations and rotations
 
 
 NAMES = ("noise", "translation", "rotation", "colour")

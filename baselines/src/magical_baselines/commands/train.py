@@ -101,17 +101,23 @@ def parse(kind: type["Config"], algorithm: str, words: Sequence[str]) -> dict[st
     """The options among words of the command line: those that are given, by name.
 
     Raises:
+        PluginError: an option of the configuration has the name of one of the command.
         UsageError: an unknown option, or a value of another type or not among the choices.
         SystemExit: after printing the help that was asked for.
     """
     import tyro
 
+    from magical.errors import PluginError
     from magical_baselines.config import options, type_hints
 
     fields = {name: _own_option(kind, *parts, name=name) for name, parts in OWN.items()}
-    fields |= {
-        field.name: _option(kind, field, type_hints(kind)[field.name]) for field in options(kind)
-    }
+    for field in options(kind):
+        if field.name in fields:
+            raise PluginError(
+                f"{kind.__name__}.{field.name}: `magical train` has an option of this name; give "
+                "it another"
+            )
+        fields[field.name] = _option(kind, field, type_hints(kind)[field.name])
     make_type: Any = TypedDict  # from a dict, which type checkers do not follow
     table: Any = make_type("Options", fields, total=False)  # what is not given is left out
     printed = io.StringIO()

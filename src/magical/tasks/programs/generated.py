@@ -20,7 +20,7 @@ from magical.scene.solids import Solid
 from magical.tasks.attributes import cycle_blocks, sample_attributes, sample_count, sample_item
 from magical.tasks.axes import EVERYTHING, Axis
 from magical.tasks.placement import Placement, sample_placement
-from magical.tasks.programs import AtWall, Clustered, Goal, InCorner, instruction, problem
+from magical.tasks.programs import Clustered, Goal, instruction, problem
 from magical.tasks.programs.sampling import Family, sample_program
 from magical.tasks.task import Task
 
@@ -73,7 +73,6 @@ def _make_task(name: str, family: Family, program: Goal, demo: Scene) -> Task:
         score_fn=program.score,
         max_blocks=most + enclosed,
         max_regions=len(demo.regions),
-        mirror_symmetric=not any(isinstance(part, InCorner | AtWall) for part in program.parts),
         validate_fn=partial(misfit, program=program),
     )
 

@@ -12,7 +12,8 @@ from magical.demos import Trajectory
 from magical.errors import DemonstrationsError
 from magical.observe import PixelSpec
 from magical.scene import View
-from magical_baselines.reinforcement.transitions import TransitionBuffer
+from magical_baselines.data import ExpertData
+from magical_baselines.replay import RecentRollouts, ReplayBuffer, expert_transitions
 
 SPEC = PixelSpec(((View.EGO, 3), (View.ALLO, 1)), size=2)
 NUM_ENVS, LENGTH = 3, 4  # steps of an episode
@@ -53,12 +54,12 @@ class PlainEnvs:
         return dones, final
 
 
-def empty(capacity: int) -> TransitionBuffer:
+def empty(capacity: int) -> ReplayBuffer:
     frames = [torch.zeros((capacity, 3, 2, 2), dtype=torch.uint8) for _ in range(2)]
-    return TransitionBuffer(SPEC, frames, num_tasks=2)
+    return ReplayBuffer(SPEC, frames, capacity, num_tasks=2)
 
 
-def filled(capacity: int, steps: int) -> tuple[TransitionBuffer, list[Step], PlainEnvs]:
+def filled(capacity: int, steps: int) -> tuple[ReplayBuffer, list[Step], PlainEnvs]:
     """A buffer after so many steps of the environments, and all its transitions in order."""
     envs, buffer, seen = PlainEnvs(), empty(capacity), []
     buffer.start(envs.observations())
@@ -67,7 +68,7 @@ def filled(capacity: int, steps: int) -> tuple[TransitionBuffer, list[Step], Pla
     return buffer, seen, envs
 
 
-def add_step(envs: PlainEnvs, buffer: TransitionBuffer, number: int) -> list[Step]:
+def add_step(envs: PlainEnvs, buffer: ReplayBuffer, number: int) -> list[Step]:
     before = envs.observations()
     dones, final = envs.step()
     after = envs.observations()
@@ -81,7 +82,7 @@ def add_step(envs: PlainEnvs, buffer: TransitionBuffer, number: int) -> list[Ste
     ]
 
 
-def sampled(buffer: TransitionBuffer, counts: list[int]) -> list[Step]:
+def sampled(buffer: ReplayBuffer, counts: list[int]) -> list[Step]:
     found = buffer.sample(counts, np.random.default_rng(1))
     rows = zip(*(part.numpy() for part in found), strict=True)
     return [
@@ -135,8 +136,8 @@ def test_it_goes_on_as_it_was_saved() -> None:
 def test_transitions_of_demonstrations(trajectories: list[Trajectory]) -> None:
     spec = PixelSpec(((View.ALLO, 2), (View.EGO, 1)))
     named = [(task, t) for task in TASKS for t in trajectories if task in t.env_id]
-    buffer = TransitionBuffer.of_demonstrations(named, TASKS, spec, "cpu")
-    found = buffer.sample([200, 200], np.random.default_rng(0))
+    data = ExpertData(named, TASKS, spec, transitions=True)
+    found = expert_transitions(data, [200, 200], np.random.default_rng(0))
     every = {}
     for number, (_, t) in enumerate(named):
         assert t.frames is not None
@@ -162,15 +163,50 @@ def test_what_was_not_executed_is_left_out() -> None:
     labels[3] = (labels[3] + 1) % 18
     labelled = replace(plain, expert_actions=labels)
     spec = PixelSpec(((View.EGO, 1),))
-    buffer = TransitionBuffer.of_demonstrations(
-        [("MoveToCorner", labelled)], ["MoveToCorner"], spec, "cpu"
-    )
-    found = buffer.sample([500], np.random.default_rng(0))
+    data = ExpertData([("MoveToCorner", labelled)], ["MoveToCorner"], spec, transitions=True)
+    found = expert_transitions(data, [500], np.random.default_rng(0))
     assert plain.frames is not None
     left_out = plain.frames["ego"][3].transpose(2, 0, 1).tobytes()
     keys = {images.numpy().tobytes() for images in found.observations}
     assert left_out not in keys
     assert len(keys) == len(plain) - 1
     none = replace(plain, expert_actions=(plain.actions + 1) % 18)
-    with pytest.raises(DemonstrationsError, match="MoveToCorner: expected steps in which"):
-        TransitionBuffer.of_demonstrations([("MoveToCorner", none)], ["MoveToCorner"], spec, "cpu")
+    with pytest.raises(DemonstrationsError, match=r"those that were not executed\), found none"):
+        ExpertData([("MoveToCorner", none)], ["MoveToCorner"], spec, transitions=True)
+
+
+def rollouts(batches: int) -> RecentRollouts:
+    """Rollouts of two steps of three environments, the last of another task; all values differ."""
+    replay = RecentRollouts(np.array([0, 0, 1]), "cpu", capacity=2)
+    for number in range(batches):
+        observations = torch.arange(6).view(2, 3, 1) + 10 * number
+        replay.add(observations.to(torch.uint8), observations.squeeze(2))
+    return replay
+
+
+@pytest.mark.parametrize(("batches", "kept"), [(1, {0}), (2, {0, 1}), (3, {1, 2})])
+def test_novice_samples_come_from_the_last_batches(batches: int, kept: set[int]) -> None:
+    shown, actions, tasks = rollouts(batches).sample([200, 200], np.random.default_rng(0))
+    assert torch.equal(shown.squeeze(1).long(), actions)
+    assert set((actions // 10).tolist()) == kept
+    assert set((actions % 10).tolist()) == set(range(6))
+    assert torch.equal(tasks, (actions % 10 % 3 == 2).long())
+    assert tasks.sum() == 200  # evenly, though only one environment in three has this task
+
+
+@pytest.mark.parametrize("dtype", [torch.uint8, torch.float32])
+def test_the_buffer_is_restored_from_its_state(dtype: torch.dtype) -> None:
+    replay, other = (RecentRollouts(np.array([0, 0, 1]), "cpu", capacity=2) for _ in range(2))
+    more = torch.arange(6).reshape(2, 3, 1)
+    replay.add(more.to(dtype), more.squeeze(2))
+    other.load_state_dict(replay.state_dict())
+    for each in (replay, other):
+        each.add(more.to(dtype), more.squeeze(2))
+    first, second = (r.sample([30, 20], np.random.default_rng(1)) for r in (replay, other))
+    assert all(torch.equal(a, b) for a, b in zip(first, second, strict=True))
+
+
+def test_flat_images_are_small_in_a_checkpoint() -> None:
+    replay = RecentRollouts(np.array([0]), "cpu")
+    replay.add(torch.zeros(8, 1, 96, 96, 12, dtype=torch.uint8), torch.zeros(8, 1).long())
+    assert replay.state_dict()["observations"].numel() < 8 * 96 * 96 * 12 / 50

@@ -25,7 +25,7 @@ from magical.runs import read_metrics
 from magical.runs.folder import CHECKPOINT, CONFIG, METRICS, RECORD
 from magical_baselines import load_policy, read_config, train
 from magical_baselines.algorithms.bc import BCConfig
-from magical_baselines.running.checkpoints import load_checkpoint, save_checkpoint
+from magical_baselines.checkpoints import load_checkpoint, save_checkpoint
 from magical_play.policies import Policies
 
 ODD: tuple[Any, ...] = (None, True, -1, 10**400, 1e308, "", "x" * 10_000, [], {}, [[]], {"a": 1})
@@ -36,7 +36,6 @@ def config(demos: Path) -> BCConfig:
     sizes: dict[str, Any] = {
         "num_demos": 1,
         "batches": 2,
-        "average_decay": 0.5,
         "checkpoint_every": 1,
     }
     return tiny(BCConfig, demos=str(demos), **sizes)
@@ -217,6 +216,6 @@ def test_gpu_memory_that_does_not_suffice_is_named(
     def exhausted(*_: Any) -> None:
         raise torch.OutOfMemoryError("CUDA out of memory")
 
-    monkeypatch.setattr("magical_baselines.algorithms.bc.BCTrainer.step", exhausted)
+    monkeypatch.setattr("magical_baselines.algorithms.bc.BCTrainer.update", exhausted)
     with pytest.raises(MagicalError, match=r"not enough memory.*--batch-size"):
         train(config, tmp_path / "run")

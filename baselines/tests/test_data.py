@@ -12,7 +12,7 @@ from magical.demos import Actor, Dataset, DatasetWriter, Trajectory, observation
 from magical.errors import DemonstrationsError
 from magical.observe import PRESETS
 from magical_baselines.config import IMAGE_OBSERVATIONS
-from magical_baselines.data.expert_data import ExpertData, sample_demonstrations, split_evenly
+from magical_baselines.data import ExpertData, sample_demonstrations, split_evenly
 
 
 def pairs(trajectories: list[Trajectory], task: str) -> list[tuple[str, Trajectory]]:

@@ -11,12 +11,13 @@ from torch import nn
 from torch.optim import SGD, Adam, Optimizer
 
 from magical.errors import CheckpointError
-from magical_baselines.running.checkpoints import (
+from magical_baselines.checkpoints import (
     load_checkpoint,
+    load_state,
     restoring,
     save_checkpoint,
+    state_of,
 )
-from magical_baselines.running.optimizers import load_optimizer, optimizer_state
 
 
 def test_state_dicts_are_read_as_they_were_written(tmp_path: Path) -> None:
@@ -141,12 +142,12 @@ def test_optimisers_continue_bit_for_bit(kind: str, tmp_path: Path) -> None:
     for number in range(6):
         step(straight, optimizer, number)
         if number == 2:
-            state = {"net": straight.state_dict(), "optimizer": optimizer_state(optimizer)}
+            state = {"net": straight.state_dict(), "optimizer": state_of(optimizer)}
             save_checkpoint(tmp_path / "c", state)
     resumed, again = made()
     saved = load_checkpoint(tmp_path / "c")
     resumed.load_state_dict(saved["net"])
-    load_optimizer(again, saved["optimizer"])
+    load_state(again, saved["optimizer"])
     for number in range(3, 6):
         step(resumed, again, number)
     for a, b in zip(straight.parameters(), resumed.parameters(), strict=True):

@@ -1,29 +1,28 @@
 """Device, precision and threads: the configuration and the processor decide, never the load."""
 
-import threading
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
+from torch import Tensor
+from torch.nn import Linear, functional
+from torch.optim import Adam
 
 from magical.errors import DeviceError
 from magical.evaluation import evaluate
-from magical_baselines import algorithm_names, find_algorithm, train
+from magical_baselines import train
 from magical_baselines.algorithms.bc import BCConfig
-from magical_baselines.config import options
-from magical_baselines.running.devices import (
+from magical_baselines.compute import (
     Compute,
     Precision,
+    ReplayedStep,
     choose_compute,
     choose_device,
     cpu_threads,
-    flushed_denormals,
-    full_float32,
     has_bfloat16,
-    restored_threads,
 )
-from magical_baselines.running.speed import training_speeds
+from magical_baselines.training import anneal, gradient_step
 
 
 @pytest.mark.parametrize("ability", ["amx_bf16", "avx512_bf16"])
@@ -59,7 +58,7 @@ def test_newer_instructions_that_are_switched_off_are_not_used(
 
 
 def test_threads_are_pytorchs_own_number_unless_given() -> None:
-    with restored_threads():
+    with cpu_threads(0):
         torch.set_num_threads(2)
         assert choose_compute("cpu", "float32", 0).threads == 2
         assert choose_compute("cuda", "float32", 0).threads == 0
@@ -71,18 +70,6 @@ def keeps_denormals() -> bool:
 
 
 @pytest.mark.skipif(not torch.set_flush_denormal(False), reason="the CPU always keeps denormals")
-@pytest.mark.parametrize("before", [False, True])
-def test_denormals_are_flushed_inside_alone(before: bool) -> None:
-    torch.set_flush_denormal(before)
-    try:
-        with flushed_denormals():
-            assert not keeps_denormals()
-        assert keeps_denormals() != before
-    finally:
-        torch.set_flush_denormal(False)
-
-
-@pytest.mark.skipif(not torch.set_flush_denormal(False), reason="the CPU always keeps denormals")
 def test_denormals_are_flushed_in_training(demos: Path, tmp_path: Path) -> None:
     during: list[bool] = []
     config = BCConfig.preset(
@@ -91,17 +78,6 @@ def test_denormals_are_flushed_in_training(demos: Path, tmp_path: Path) -> None:
     train(config, tmp_path, callback=lambda *_: during.append(keeps_denormals()))
     assert during == [False]
     assert keeps_denormals()
-
-
-def test_every_way_is_measured() -> None:
-    with restored_threads():
-        torch.set_num_threads(2)
-        speeds = training_speeds("light", batch_size=2, device="cpu", rounds=1)
-        assert torch.get_num_threads() == 2
-    assert {(way.precision, way.threads) for way in speeds} == {
-        (precision, threads) for precision in ("float32", "bfloat16") for threads in (1, 2)
-    }
-    assert all(speed > 0 for speed in speeds.values())
 
 
 def float32_precisions() -> list[str]:
@@ -125,50 +101,34 @@ def test_float32_is_not_tensorfloat32_on_a_gpu(demos: Path, tmp_path: Path) -> N
     assert float32_precisions() == before
 
 
-def test_every_paper_preset_is_float32() -> None:
-    fields: dict[str, Any] = {"tasks": ("MoveToCorner",), "demos": ""}
-    for name in algorithm_names():
-        kind = find_algorithm(name).config
-        given = {option.name for option in options(kind)} & set(fields)
-        for preset in kind.presets:
-            config = kind.preset(preset, **{field: fields[field] for field in given})
-            assert config.precision == ("auto" if preset in ("quick", "states") else "float32")
-
-
-def test_overlapping_contexts_of_several_threads_leave_everything_as_it_was() -> None:
-    parts = (torch.backends.cudnn.conv, torch.backends.cuda.matmul)  # type: ignore[attr-defined]
-    before = torch.get_num_threads(), [part.fp32_precision for part in parts]
-    began, overlaps, done = (threading.Event() for _ in range(3))
-
-    def first() -> None:
-        with cpu_threads(1), full_float32():
-            began.set()
-            overlaps.wait()
-        done.set()
-
-    def second() -> None:
-        began.wait()
-        with cpu_threads(1), full_float32():
-            overlaps.set()
-            done.wait()  # the other one, which began before, has ended
-            assert torch.get_num_threads() == 1
-            assert parts[0].fp32_precision == "ieee"
-
-    with cpu_threads(1), cpu_threads(3):
-        assert torch.get_num_threads() == 3
-    threads = [threading.Thread(target=target) for target in (first, second)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    later: list[int] = []
-    third = threading.Thread(target=lambda: later.append(torch.get_num_threads()))
-    third.start()
-    third.join()
-    assert (torch.get_num_threads(), [part.fp32_precision for part in parts]) == before
-    assert later == [before[0]]
-
-
 def test_an_unknown_device_is_named() -> None:
     with pytest.raises(DeviceError, match="'gpu': expected one of auto, cpu, cuda"):
         choose_device("gpu")
+
+
+def losses_of_steps(device: str, replayed: bool) -> list[float]:
+    """The losses of steps with batches of two sizes and a falling learning rate."""
+    torch.manual_seed(0)
+    model = Linear(8, 1).to(device)
+    optimizer = Adam(model.parameters(), 0.1, fused=True)
+
+    def step(inputs: Tensor, targets: Tensor) -> dict[str, Tensor]:
+        loss = functional.mse_loss(model(inputs), targets)
+        gradient_step(optimizer, loss)
+        return {"loss": loss}
+
+    take = ReplayedStep(optimizer, replayed)
+    batches = [torch.randn(size, 8) for size in (16, 16, 16, 4, 16, 16)]
+    losses = []
+    for number, batch in enumerate(batches):
+        anneal(optimizer, number, len(batches))
+        inputs = batch.to(device)
+        losses.append(take(step, inputs, inputs[:, :1])["loss"].item())
+    return losses
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
+def test_replayed_steps_do_what_steps_do() -> None:
+    expected = losses_of_steps("cuda", replayed=False)
+    assert losses_of_steps("cuda", replayed=True) == pytest.approx(expected, rel=1e-5)
+    assert len(set(expected)) == len(expected)
