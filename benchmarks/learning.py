@@ -21,17 +21,15 @@ import torch
 
 from magical.demos.generate import generate
 from magical.envs import EnvId
-from magical_baselines.algorithms.bc import Batch, BCConfig, BCTrainer
-from magical_baselines.data.expert_data import sample_demonstrations
-from magical_baselines.data.prefetch import prefetch
-from magical_baselines.running.devices import choose_compute
-from magical_baselines.running.run import Run
+from magical_baselines.algorithms.bc import Batch, BCConfig, BCTrainer, sample_batch
+from magical_baselines.compute import choose_compute
+from magical_baselines.data import ExpertData, sample_demonstrations
+from magical_baselines.training import Run, prefetch
 
 TASK = "MoveToCorner"
 DEMOS = 25
 BATCHES = 30  # per round
 WARM_UP = 5  # batches
-RATE = 1e-3
 
 
 class Setup:
@@ -50,18 +48,18 @@ class Setup:
         (folder / "run").mkdir()
         self.trainer = BCTrainer(self.config, Run(folder / "run", self.config))
         self.trainer.network.train()
-        demos = self.config.demonstrations.demos
-        trajectories = sample_demonstrations(demos, (TASK,), DEMOS, 0).trajectories
-        self.data = self.trainer.expert_data(trajectories)
+        found = sample_demonstrations(self.config.demos, (TASK,), DEMOS, 0).trajectories
+        spec = self.config.observation_spec
+        self.data = ExpertData(found, (TASK,), spec, remove_noops=True)
         self.making: list[float] = []
         self.learning: list[float] = []
         self.whole: list[float] = []
 
     def make(self, number: int) -> Batch:
-        return self.trainer.sample_batch(self.data, number)
+        return sample_batch(self.config, self.data, number)
 
     def learn(self, batch: Batch) -> None:
-        self.trainer.step(batch, RATE)
+        self.trainer.update(0, batch)
 
     def measure(self, threads: int) -> None:
         """Measure one round of everything."""

@@ -1,10 +1,11 @@
 """A table of an algorithm's settings by preset, with the appendix's values."""
 
 from collections.abc import Iterator, Mapping
+from dataclasses import MISSING
 from typing import Any
 
 from magical_baselines import Config
-from magical_baselines.config import Option, options
+from magical_baselines.config import Field, options
 from tools.readme_tables import table
 
 # Values that the appendix states: its section B, Tables 3 and 4.
@@ -77,9 +78,14 @@ def settings(kind: type[Config]) -> str:
     rows = [
         [*row(kind, option), *([shown(stated.get(option.name, ""))] if stated else [])]
         for option in options(kind)
-        if not option.required
+        if option.default is not MISSING
     ]
     return table(header, rows)
+
+
+def flag(option: Field) -> str:
+    """The option on the command line."""
+    return "--task" if option.name == "tasks" else f"--{option.name.replace('_', '-')}"
 
 
 def columns(kind: type[Config]) -> list[str]:
@@ -87,9 +93,9 @@ def columns(kind: type[Config]) -> list[str]:
     return sorted(kind.presets, key=lambda name: (name != "paper", name))
 
 
-def row(kind: type[Config], option: Option) -> Iterator[str]:
+def row(kind: type[Config], option: Field) -> Iterator[str]:
     """The setting's name and its value in each preset."""
-    yield f"`{option.flag}`"
+    yield f"`{flag(option)}`"
     paper = kind.presets["paper"].get(option.name, option.default)
     for name in columns(kind):
         value = kind.presets[name].get(option.name, option.default)

@@ -100,7 +100,7 @@ def test_the_next_command_imports_a_task_that_the_package_lacks(
 def test_an_evaluated_run_says_what_it_is_and_can_be_verified(
     demos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from magical_baselines.running.devices import num_threads
+    from torch import get_num_threads
 
     run, entry = tmp_path / "run", tmp_path / "evaluation" / "run"
     assert main(bc(demos, run)) == 0
@@ -111,7 +111,7 @@ def test_an_evaluated_run_says_what_it_is_and_can_be_verified(
     assert details["algorithm"] == "bc"
     assert details["learned_from"] == ["demonstrations"]
     assert set(details) >= {"training_seed", "demonstrations", "versions", "commit", "machine"}
-    assert details["threads"] == num_threads()
+    assert details["threads"] == get_num_threads()
     again = ["evaluate", str(run), *options, "--out", str(entry), "--training-seed"]
     assert main([*again, "7"]) == 2
     assert f"--training-seed 7: {run} records 0; leave the option out" in capsys.readouterr().err

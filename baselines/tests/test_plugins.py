@@ -2,21 +2,19 @@
 
 import json
 import sys
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import pytest
 
 from baselines.tests.tiny_runs import same_weights, tiny
 from magical.cli import main
-from magical.errors import InvalidConfigError, PluginError, RunFolderError, UnknownNameError
+from magical.errors import PluginError, UnknownNameError
 from magical.runs.folder import CONFIG
-from magical_baselines import Config, find_algorithm, read_config, train
+from magical_baselines import find_algorithm, read_config, train
 from magical_baselines.algorithms.bc import BCConfig
-from magical_baselines.config import DemonstrationSettings, options
+from magical_baselines.config import options
 from magical_baselines.networks import find_network
-from magical_baselines.settings import Settings, option
 
 MODULE = '''
 from dataclasses import dataclass
@@ -24,9 +22,9 @@ from types import SimpleNamespace
 
 from torch import nn
 
-from magical_baselines.algorithms import Algorithm
+from magical_baselines import Algorithm
 from magical_baselines.algorithms.bc import BCConfig, make_policy, train
-from magical_baselines.settings import POSITIVE, option
+from magical_baselines.config import PositiveInt, option
 from magical.observe import PixelSpec
 
 
@@ -35,7 +33,7 @@ class OwnConfig(BCConfig):
     """Behavioural cloning with a setting of its own."""
 
     algorithm: str = "own_learner:ALGORITHM"
-    patience: int = option(3, "how long", check=POSITIVE)
+    patience: PositiveInt = option(3, "how long")
 
 
 ALGORITHM = Algorithm(OwnConfig, train, make_policy)
@@ -101,7 +99,7 @@ def test_an_option_named_like_one_of_the_command(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for name, message in (
-        ("resume", "OwnConfig, resume: `magical train` has an option --resume of its own"),
+        ("resume", "OwnConfig.resume: `magical train` has an option of this name"),
         ("run", "expected --task, --demos, found none"),  # as for any other name
     ):
         file = tmp_path / f"own_{name}.py"
@@ -124,82 +122,13 @@ def test_a_network_with_dropout_learns_the_same_again_and_resumed(
 
 
 @dataclass(frozen=True, kw_only=True)
-class Inner(Settings):
-    learning_rate: float = option(0.1, "another")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Outer(Settings):
-    inner: Inner = field(default_factory=Inner)
-
-
-@dataclass(frozen=True, kw_only=True)
 class Bare(BCConfig):
     patience: int = 3
 
 
-@dataclass(frozen=True, kw_only=True)
-class Nested(BCConfig):
-    outer: Outer = field(default_factory=Outer)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Twice(BCConfig):
-    inner: Inner = field(default_factory=Inner)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Chosen(BCConfig):
-    side: Literal["left", "right"] = option("left", "where")
-
-
-@pytest.mark.parametrize(
-    ("kind", "message"),
-    [
-        (Bare, r"Bare\.patience: expected option\(...\), or .*, found <class 'int'>"),
-        (Nested, r"Nested\.outer\.inner: expected option\(...\)"),
-        (
-            Twice,
-            r"Twice\.inner\.learning_rate: expected another name than Twice\.cloning\.learning",
-        ),
-        (Chosen, r"Chosen, side: expected int, float, str or bool, .* found typing\.Literal"),
-    ],
-)
-def test_a_class_that_has_no_options_says_which_field(kind: type[Config], message: str) -> None:
-    with pytest.raises(PluginError, match=message):
-        options(kind)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Anonymous(BCConfig):
-    pace: int = option(3, "how fast")  # and no name of an algorithm
-
-
-def test_a_configuration_that_could_not_be_read_again_is_not_trained_with(
-    demos: Path, tmp_path: Path
-) -> None:
-    config = Anonymous(
-        tasks=("MoveToCorner",), demonstrations=DemonstrationSettings(demos=str(demos))
-    )
-    with pytest.raises(InvalidConfigError, match="bc: expected a BCConfig, found a Anonymous"):
-        train(config, tmp_path / "run")
-    assert not (tmp_path / "run").exists()
-
-
-@dataclass(frozen=True, kw_only=True)
-class Named(BCConfig):
-    name: str = option("", "a note")
-
-
-def test_an_option_may_have_the_name_of_a_parameter() -> None:
-    config = Named.preset("quick", tasks=("MakeLine",), demos="demos", name="mine")
-    assert (config.name, Named.from_dict(config.to_dict())) == ("mine", config)
-
-
-def test_an_algorithm_that_is_not_installed_any_more_is_named_with_the_file(tmp_path: Path) -> None:
-    (tmp_path / CONFIG).write_text('{"algorithm": "gone"}')
-    with pytest.raises(RunFolderError, match=r"config\.json: algorithm 'gone' is unknown"):
-        read_config(tmp_path)
+def test_a_field_that_is_no_option_is_named() -> None:
+    with pytest.raises(PluginError, match=r"Bare\.patience: expected option"):
+        options(Bare)
 
 
 def test_what_is_not_there_or_of_another_kind_is_named(module: str) -> None:

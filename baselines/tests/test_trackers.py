@@ -3,6 +3,7 @@
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, Self
 
 import pytest
@@ -11,12 +12,12 @@ from baselines.tests.tiny_runs import tiny
 from magical.cli import main
 from magical.errors import InvalidConfigError, MissingDependencyError
 from magical.runs import read_metrics
-from magical.runs.folder import opened_folder
+from magical.runs.folder import RECORD, opened_folder, read_json
 from magical_baselines import train
 from magical_baselines.algorithms.bc import BCConfig
-from magical_baselines.trackers import opened_trackers
+from magical_baselines.run import opened_trackers
 
-CONFIGURATION = {"algorithm": "bc", "seed": 3}
+CONFIGURATION = tiny(BCConfig, seed=3)
 
 
 class Wandb:
@@ -54,7 +55,7 @@ def begin(tmp_path: Path) -> Callable[[str], Path]:
     """A function that makes a run folder."""
 
     def make(name: str) -> Path:
-        with opened_folder(tmp_path / name, CONFIGURATION, resume=False):
+        with opened_folder(tmp_path / name, CONFIGURATION.to_dict(), resume=False):
             return tmp_path / name
 
     return make
@@ -64,7 +65,11 @@ def log_twice(name: str, folder: Path) -> None:
     """Log as a run does that is interrupted after step 4, with a checkpoint of step 2."""
     metrics: dict[str, float | str] = {"loss": 0.5, "phase": "second"}
     for step, steps in ((0, (2, 4)), (2, (4, 6))):
-        with opened_trackers([name], folder, step) as log:
+        run: Any = SimpleNamespace(
+            folder=folder, step=step, config=CONFIGURATION, record=read_json(folder / RECORD)
+        )
+        with opened_trackers([name], run) as log:
+            assert log
             for number in steps:
                 log(number, metrics)
 
@@ -74,7 +79,7 @@ def test_a_session_of_wandb_continues_the_run(wandb: Wandb, begin: Callable[[str
     first, second = wandb.opened
     assert first == second  # so that the second continues the first
     assert (first["name"], first["project"], first["resume"], first["config"]) == (
-        ("run", "magical", "allow", CONFIGURATION)
+        ("run", "magical", "allow", CONFIGURATION.to_dict())
     )
     assert wandb.logged == [(step, {"loss": 0.5}) for step in (2, 4, 4, 6)]
     assert wandb.closed == 2
@@ -104,10 +109,10 @@ def test_tensorboard_gets_the_metrics(begin: Callable[[str], Path]) -> None:
     assert [(e.step, e.value) for e in events.Scalars("loss")] == [(2, 0.5), (4, 0.5), (6, 0.5)]
 
 
-def test_an_unknown_tracker_is_refused(tmp_path: Path) -> None:
+def test_an_unknown_tracker_is_refused() -> None:
     with (
         pytest.raises(InvalidConfigError, match="expected tensorboard or wandb, found 'aim'"),
-        opened_trackers(["aim"], tmp_path, 0),
+        opened_trackers(["aim"], SimpleNamespace()),
     ):
         pass
 

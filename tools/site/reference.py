@@ -144,7 +144,7 @@ def configuration_pages() -> dict[str, str]:
     for kind in kinds:
         meaning = readme_tables.table(
             ("Setting", "Meaning"),
-            ((f"`{option.flag}`", option.help) for option in options(kind)),
+            ((f"`{preset_tables.flag(o)}`", o.metadata["help"]) for o in options(kind)),
         )
         made[f"configuration/{kind.algorithm}.md"] = (
             f"# {kind.algorithm}\n\n{_summary(kind)}\n\n## Values\n\n"

@@ -8,12 +8,17 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 from magical.runs import is_run
-from magical_baselines.algorithms import Algorithm, algorithm_names, find_algorithm, read_config
-from magical_baselines.config import Config
+from magical_baselines.config import (
+    Algorithm,
+    Config,
+    algorithm_names,
+    find_algorithm,
+    read_config,
+)
 
 if TYPE_CHECKING:
     from magical_baselines.policy import NetworkPolicy, TrainedPolicy, load_policy
-    from magical_baselines.running.training import TrainResult, train
+    from magical_baselines.run import TrainResult, train
 
 __all__ = [
     "Algorithm",
@@ -33,8 +38,8 @@ _NEEDS_TORCH = {
     "NetworkPolicy": "policy",
     "TrainedPolicy": "policy",
     "load_policy": "policy",
-    "TrainResult": "running.training",
-    "train": "running.training",
+    "TrainResult": "run",
+    "train": "run",
 }
 
 

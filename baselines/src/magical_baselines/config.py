@@ -1,106 +1,104 @@
-"""Configurations: composed of small records, but flat on the command line and in run folders.
+"""Configurations, and the algorithms they belong to. Nothing here needs PyTorch.
 
-An algorithm's configuration is a frozen dataclass. Its own fields and those of its records are the
-options on the command line, the settings of `preset` and of plans, and what the run folder records.
-Defaults are the published settings. Nothing here needs PyTorch.
+An algorithm's configuration is a frozen dataclass. Its fields are the options of `magical train`,
+the settings of presets and plans, and what `config.json` records. Defaults are the published
+settings. The base classes here hold the options that several algorithms share.
 """
 
 import dataclasses
-import types
-from collections.abc import Mapping
+import os
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING, dataclass
-from typing import Any, ClassVar, Self, get_args, get_origin
-
-from magical.envs.action_spec import ActionSpaceName
-from magical.errors import InvalidConfigError, PluginError, UnknownNameError
-from magical.messages import quoted
-from magical.observe import PRESETS, STATE, ObservationSpec, make_spec
-from magical.observe.presets import GROUP
-from magical.plugins import is_plugin
-from magical.runs.sources import DEMONSTRATIONS, LEARNED_FROM, NUM_DEMOS
-from magical.tasks import get_task
-from magical_baselines.augmentation.names import Augmentations, parse_augmentations
-from magical_baselines.networks import network_names, sources_of
-from magical_baselines.settings import (
-    DEVICES,
-    MAX_THREADS,
-    NOT_NEGATIVE,
-    POSITIVE,
-    Part,
-    Settings,
-    all_fields,
-    by_part,
-    default_of,
-    name_of,
-    option,
-    type_hints,
+from functools import cache
+from pathlib import Path
+from types import MappingProxyType
+from typing import (
+    TYPE_CHECKING,
+    Annotated,
+    Any,
+    ClassVar,
+    Literal,
+    Self,
+    get_origin,
+    get_type_hints,
 )
 
-APPENDIX, PUBLISHED = "appendix", "published"
-CONVENTIONS = (APPENDIX, PUBLISHED)
-PIXEL_RANGES = {"unit": (0.0, 1.0), "symmetric": (-1.0, 1.0)}
-IMAGE_OBSERVATIONS = tuple(name for name, spec in PRESETS.items() if not spec.separate)
+import numpy as np
+from msgspec import Meta
 
+from magical.errors import InvalidConfigError, PluginError, RunFolderError, UnknownNameError
+from magical.messages import quoted
+from magical.observe import PRESETS, STATE, ObservationSpec, make_spec
+from magical.observe.presets import GROUP as OBSERVATIONS
+from magical.plugins import Registry, is_plugin, plugins, require_imported
+from magical.runs.folder import CONFIG, is_run, read_json
+from magical.runs.sources import DEMONSTRATIONS, LEARNED_FROM, NUM_DEMOS
+from magical.tasks import get_task
+from magical.untrusted import convert
+from magical_baselines.augmentation.names import Augmentations, parse_augmentations
+from magical_baselines.networks import GROUP as NETWORKS
+from magical_baselines.networks import sources_of
+
+if TYPE_CHECKING:
+    from torch import nn
+
+    from magical_baselines.policy import TrainedPolicy
+    from magical_baselines.training import Run
+
+PositiveInt = Annotated[int, Meta(ge=1)]
+NonNegativeInt = Annotated[int, Meta(ge=0)]
+PositiveFloat = Annotated[float, Meta(gt=0)]
+NonNegativeFloat = Annotated[float, Meta(ge=0)]
+Fraction = Annotated[float, Meta(ge=0, le=1)]
+Field = dataclasses.Field[Any]
+
+IMAGE_OBSERVATIONS = tuple(name for name, spec in PRESETS.items() if not spec.separate)
+MAX_THREADS = 4096  # of a CPU
 CHECKPOINT_SECONDS = 30  # between checkpoints, unless a number of steps is configured
 
-METAVARS = {int: "N", float: "X", str: "NAME", bool: None}
+
+def option(
+    default: Any,
+    text: str,
+    *,
+    metavar: str = "",
+    plugins: str = "",
+    known: tuple[str, ...] = (),
+    parse: Callable[[str], object] | None = None,
+) -> Any:
+    """A configuration field.
+
+    Args:
+        default: the published setting; `MISSING` if there is none and one has to be given.
+        text: one line of command-line help.
+        metavar: the placeholder for the value in command-line help.
+        plugins: the group of entry points whose names are allowed, as is `module:NAME`.
+        known: other names that are allowed beside those of the entry points.
+        parse: called with the value; raises an error unless it is allowed.
+    """
+    metadata = {
+        "help": text,
+        "metavar": metavar,
+        "plugins": plugins,
+        "known": known,
+        "parse": parse,
+    }
+    return dataclasses.field(default=default, metadata=metadata)
+
+
+def augment_option(default: str, images: str = "images") -> Any:
+    """A configuration field for the names of the augmentations applied to some images."""
+    text = f"augmentations of {images}: all, none, no-trans-rot, or names joined by +"
+    return option(default, text, parse=parse_augmentations, metavar="NAMES")
 
 
 @dataclass(frozen=True, kw_only=True)
-class EncoderSettings(Settings):
-    """A network's observation, and the architecture that turns it into features."""
+class Config:
+    """Options common to all algorithms.
 
-    observation: str = option("LoRes4E", "observation preset")
-    network: str = option(
-        "paper", "network architecture", choices=network_names, others="magical.networks"
-    )
-
-
-@dataclass(frozen=True, kw_only=True)
-class NetworkSettings(EncoderSettings):
-    """The observation and construction of the paper's networks."""
-
-    conventions: str = option(
-        APPENDIX,
-        "whether images, initialisation and batch norm follow the appendix or the published code "
-        "(docs/presets.md)",
-        choices=CONVENTIONS,
-    )
-
-    @property
-    def published(self) -> bool:
-        """Whether the published code's conventions apply."""
-        return self.conventions == PUBLISHED
-
-    @property
-    def pixel_range(self) -> str:
-        """The pixel range of the networks' images, a key of `PIXEL_RANGES`."""
-        return "symmetric" if self.published else "unit"
-
-    @property
-    def action_input(self) -> str:
-        """How reward networks take actions as input, a key of `magical_baselines.models.JOINED`."""
-        return "embedding" if self.published else "one-hot"
-
-    def augmentations(self, names: str) -> Augmentations:
-        """The augmentations with these names, with borders and colours as in the conventions."""
-        chosen = parse_augmentations(names)
-        if self.published:
-            return dataclasses.replace(chosen, borders="repeat", linear_light=False)
-        return chosen
-
-
-@dataclass(frozen=True, kw_only=True)
-class DemonstrationSettings(Settings):
-    """Which demonstrations to learn from."""
-
-    demos: str = option(MISSING, "folder with a dataset of demonstrations", metavar="FOLDER")
-    num_demos: int = option(10, "demonstrations per task, chosen by the seed", POSITIVE)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Config(Settings):
-    """Settings common to the runs of all algorithms."""
+    Paths are converted to strings, NumPy's numbers to Python's, and for tuple fields any iterable
+    or a single string to a tuple, so that a configuration can be written as JSON.
+    """
 
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {"paper": {}}
     # The observations of this package that the algorithm accepts.
@@ -111,73 +109,48 @@ class Config(Settings):
 
     algorithm: str = ""  # its name, an entry point's name, or `module:NAME`
     tasks: tuple[str, ...] = option(MISSING, "one or more tasks to learn", metavar="TASK")
-    seed: int = option(
-        0, "random seed of demonstrations, initialisation, minibatches and episodes", NOT_NEGATIVE
+    seed: NonNegativeInt = option(
+        0, "random seed of demonstrations, initialisation, minibatches and episodes"
     )
-    device: str = option("auto", "device to compute on", choices=DEVICES)
+    device: Literal["auto", "cpu", "cuda"] = option("auto", "device to compute on")
     # PPO compares ratios with a clip range of 0.01: bfloat16's resolution is nearly as coarse.
-    precision: str = option(
+    precision: Literal["auto", "float32", "bfloat16"] = option(
         "float32",
         "precision of forward and backward passes; auto: bfloat16 if the processor supports it",
-        choices=("auto", "float32", "bfloat16"),
     )
-    threads: int = option(
-        0,
-        "CPU threads; 0: PyTorch's default, or 1 for state vectors in environments",
-        (lambda number: 0 <= number <= MAX_THREADS, f"a number from 0 to {MAX_THREADS}"),
+    threads: Annotated[int, Meta(ge=0, le=MAX_THREADS)] = option(
+        0, "CPU threads; 0: PyTorch's default, or 1 for state vectors in environments"
     )
-    checkpoint_every: int = option(
-        0,
-        f"batches or updates between checkpoints; 0: at most one every {CHECKPOINT_SECONDS} s",
-        NOT_NEGATIVE,
+    checkpoint_every: NonNegativeInt = option(
+        0, f"batches or updates between checkpoints; 0: at most one every {CHECKPOINT_SECONDS} s"
     )
 
     def __post_init__(self) -> None:
-        super().__post_init__()
+        hints = type_hints(type(self))
+        for field in options(type(self)):
+            value = _plain(getattr(self, field.name), hints[field.name])
+            value = convert(value, hints[field.name], field.name, InvalidConfigError)
+            object.__setattr__(self, field.name, value)
+            if field.metadata["parse"]:
+                field.metadata["parse"](value)
+            group, known = field.metadata["plugins"], field.metadata["known"]
+            if group and value not in known and not is_plugin(group, value):
+                raise _unknown(field.name, value, [*known, *sorted(plugins(group))])
         names = tuple(get_task(name).name for name in self.tasks)
         object.__setattr__(self, "tasks", names)
         if not names or len(set(names)) < len(names):
             raise InvalidConfigError(f"tasks: expected each task once, found {names}")
-        if not self.part(EncoderSettings):
-            return
-        if self.observation not in self.observations and not is_plugin(GROUP, self.observation):
-            known = self.observation in (*PRESETS, STATE)
-            raise UnknownNameError(
-                f"observation {quoted(self.observation)} is "
-                f"{f'not taken by {self.algorithm}' if known else 'unknown'}; expected one of: "
-                f"{', '.join(self.observations)}"
-            )
-        if STATE not in self.observations and self.observes_vectors:
-            raise InvalidConfigError(
-                f"observation: {self.algorithm} learns from images, found a vector"
-            )
-        if len({self._spec_of(name).network_shape for name in names}) > 1:
-            raise InvalidConfigError(
-                "observation: state vectors differ between tasks, so one task is expected, found "
-                f"{', '.join(names)}; use a pixel observation, or a run for each task"
-            )
-
-    def part(self, kind: type[Part]) -> Part | None:
-        """The configuration's record of this type; `None` if it has none."""
-        values = (getattr(self, field.name) for field in dataclasses.fields(self))
-        return next((value for value in values if isinstance(value, kind)), None)
 
     @property
     def learned_from(self) -> tuple[str, ...]:
         """What the run learns from, in the terms of `magical.runs.sources`."""
-        networks = self.part(EncoderSettings)
-        demonstrations = (DEMONSTRATIONS,) if self.part(DemonstrationSettings) else ()
-        return (*demonstrations, *(sources_of(networks.network) if networks else ()))
+        return ()
 
     @property
     def training_details(self) -> dict[str, Any]:
-        """How a policy is trained, for the `details` of `entry.json` (docs/protocol.md)."""
-        demonstrations = self.part(DemonstrationSettings)
-        details: dict[str, Any] = {"algorithm": self.algorithm, "training_seed": self.seed}
-        if demonstrations:
-            details["demonstrations"] = f"{demonstrations.num_demos} of each task"
-            details[NUM_DEMOS] = demonstrations.num_demos
-        return {**details, LEARNED_FROM: list(dict.fromkeys(self.learned_from))}
+        """How a policy is trained, as entries record it (docs/protocol.md)."""
+        sources = list(dict.fromkeys(self.learned_from))
+        return {"algorithm": self.algorithm, "training_seed": self.seed, LEARNED_FROM: sources}
 
     @property
     def num_updates(self) -> int:
@@ -202,22 +175,17 @@ class Config(Settings):
     @property
     def observation(self) -> str:
         """The observation's name."""
-        networks = self.part(EncoderSettings)
-        assert networks is not None
-        return networks.observation
+        raise NotImplementedError(f"{type(self).__name__} defines no observation")
 
     @property
-    def action_space(self) -> ActionSpaceName:
+    def action_space(self) -> Literal["discrete", "continuous"]:
         """The action space of the policy, to which the actions of demonstrations are converted."""
         return "discrete"
 
     @property
     def observation_spec(self) -> ObservationSpec:
         """The observation's specification; the same for all tasks."""
-        return self._spec_of(self.tasks[0])
-
-    def _spec_of(self, task: str) -> ObservationSpec:
-        return make_spec(self.observation, get_task(task))
+        return make_spec(self.observation, get_task(self.tasks[0]))
 
     @property
     def input_shape(self) -> tuple[int, ...]:
@@ -245,7 +213,7 @@ class Config(Settings):
 
     @classmethod
     def preset(cls, name: str, /, **settings: Any) -> Self:
-        """The configuration of a preset, with some settings, given by option name, replaced.
+        """The configuration of a preset, with some settings replaced.
 
         Raises:
             UnknownNameError: an unknown preset or setting.
@@ -259,30 +227,23 @@ class Config(Settings):
 
     @classmethod
     def _of(cls, settings: Mapping[str, Any]) -> Self:
-        """The configuration with these settings, by option name, and defaults for all others."""
-        fields, parts = by_part(cls, settings)
-        if missing := [o.name for o in options(cls) if o.required and o.name not in settings]:
-            raise InvalidConfigError(f"expected the setting {missing[0]}, found none")
-        hints = type_hints(cls)
-        for field in dataclasses.fields(cls):
-            if field.name in parts:
-                record, given = default_of(field), parts[field.name]
-                fields[field.name] = (
-                    dataclasses.replace(record, **given) if record else hints[field.name](**given)
-                )
-        return cls(**fields)
+        known = {field.name: field for field in options(cls)}
+        for name in settings:
+            if name not in known and name != "algorithm":
+                raise _unknown("setting", name, known)
+        for name, field in known.items():
+            if field.default is MISSING and name not in settings:
+                raise InvalidConfigError(f"expected the setting {name}, found none")
+        return cls(**settings)
 
     def replace(self, **settings: Any) -> Self:
-        """A copy of the configuration with some settings, given by option name, replaced."""
+        """A copy of the configuration with some settings replaced."""
         return self._of({**self.to_dict(), **settings})
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data for JSON: the algorithm, and all options by name."""
-        plain: dict[str, Any] = {"algorithm": self.algorithm}
-        for part, field, _ in all_fields(type(self)):
-            value = getattr(getattr(self, part) if part else self, field.name)
-            plain[name_of(field)] = list(value) if isinstance(value, tuple) else value
-        return plain
+        """Plain data for JSON."""
+        plain = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        return {k: list(value) if isinstance(value, tuple) else value for k, value in plain.items()}
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], what: str = "configuration") -> Self:
@@ -301,57 +262,229 @@ class Config(Settings):
             raise InvalidConfigError(f"{what}: {error}") from error
 
 
-@dataclass(frozen=True, slots=True)
-class Option:
-    """A configuration field as a command-line option."""
+@cache  # each call would evaluate every annotation again
+def type_hints(kind: Any) -> dict[str, Any]:
+    """The types of the fields of a configuration class."""
+    return get_type_hints(kind, include_extras=True)
 
-    name: str
-    kind: type
-    several: bool
-    required: bool
-    default: Any
-    help: str
-    choices: tuple[str, ...]  # from this package
-    open: bool  # whether other distributions can add values
-    metavar: str | None
+
+def options(kind: type[Config]) -> list[Field]:
+    """The fields that are options, in order: `name`, `default`, and the help in `metadata`.
+
+    Raises:
+        PluginError: another field than `algorithm` was not made by `option`.
+    """
+    fields = [field for field in dataclasses.fields(kind) if field.name != "algorithm"]
+    for field in fields:
+        if not field.metadata:
+            raise PluginError(f"{kind.__name__}.{field.name}: expected option(...), found none")
+    return fields
+
+
+def _plain(value: Any, hint: Any) -> Any:
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    if get_origin(hint) is not tuple or not isinstance(value, Iterable):
+        return value
+    return (value,) if isinstance(value, str) else tuple(value)
+
+
+def _unknown(what: str, name: str, known: Iterable[str]) -> UnknownNameError:
+    return UnknownNameError(
+        f"{what} {quoted(name)} is unknown; expected one of: {', '.join(known)}"
+        + ("" if what == "setting" else "; or module:NAME")
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class NetworkConfig(Config):
+    """Options of algorithms whose network is one of the registry."""
+
+    observation: str = option(
+        "LoRes4E", "observation preset", plugins=OBSERVATIONS, known=(*PRESETS, STATE)
+    )
+    network: str = option("paper", "network architecture", plugins=NETWORKS)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        name = self.observation
+        if name not in self.observations and not is_plugin(OBSERVATIONS, name):
+            raise UnknownNameError(
+                f"observation {quoted(name)} is not taken by {self.algorithm}; expected one of: "
+                f"{', '.join(self.observations)}"
+            )
+        if STATE not in self.observations and self.observes_vectors:
+            raise InvalidConfigError(
+                f"observation: {self.algorithm} learns from images, found a vector"
+            )
+        if len({make_spec(name, get_task(task)).network_shape for task in self.tasks}) > 1:
+            raise InvalidConfigError(
+                "observation: state vectors differ between tasks, so one task is expected, found "
+                f"{', '.join(self.tasks)}; use a pixel observation, or a run for each task"
+            )
 
     @property
-    def flag(self) -> str:
-        """The flag, for instance `--num-demos`."""
-        return "--" + self.name.replace("_", "-")
+    def learned_from(self) -> tuple[str, ...]:
+        """See `Config`."""
+        return (*super().learned_from, *sources_of(self.network))
+
+    def augmentations(self, names: str) -> Augmentations:
+        """The augmentations with these names."""
+        return parse_augmentations(names)
 
 
-def options(kind: type[Config]) -> list[Option]:
-    """The options of a configuration class: required ones first, otherwise in field order."""
-    found = []
-    records = {field.name: default_of(field) for field in dataclasses.fields(kind)}
-    for part, field, hint in all_fields(kind):
-        record = records[part] if part else None
-        default = getattr(record, field.name) if record else field.default
-        found.append(_option(kind, field, hint, default))
-    return sorted(found, key=lambda option: not option.required)
+@dataclass(frozen=True, kw_only=True)
+class PaperNetworkConfig(NetworkConfig):
+    """Options of algorithms with the paper's networks."""
 
-
-def _option(kind: type[Config], field: "dataclasses.Field[Any]", hint: Any, default: Any) -> Option:
-    several = get_origin(hint) is tuple
-    if several or isinstance(hint, types.UnionType):  # tuple[str, ...] or int | None
-        hint = next(kind for kind in get_args(hint) if kind not in (Ellipsis, types.NoneType))
-    name, choices = name_of(field), field.metadata["choices"]()
-    if hint not in METAVARS:
-        raise PluginError(
-            f"{kind.__name__}, {name}: expected int, float, str or bool, a tuple of one of them, "
-            f"or one and None, found {hint}"
-        )
-    if name == "observation":
-        choices = kind.observations
-    return Option(
-        name,
-        hint,
-        several,
-        default is MISSING,
-        None if default is MISSING else default,
-        field.metadata["help"],
-        choices,
-        bool(field.metadata["others"]) or name == "observation",
-        None if choices else field.metadata["metavar"] or METAVARS[hint],
+    conventions: Literal["appendix", "published"] = option(
+        "appendix",
+        "whether images, initialisation and batch norm follow the appendix or the published code "
+        "(docs/presets.md)",
     )
+
+    @property
+    def published(self) -> bool:
+        """Whether the published code's conventions apply."""
+        return self.conventions == "published"
+
+    @property
+    def pixel_range(self) -> tuple[float, float]:
+        """The range that networks map the pixels of images to."""
+        return (-1.0, 1.0) if self.published else (0.0, 1.0)
+
+    @property
+    def action_input(self) -> str:
+        """How reward networks take actions as input, a key of `magical_baselines.models.JOINED`."""
+        return "embedding" if self.published else "one-hot"
+
+    def augmentations(self, names: str) -> Augmentations:
+        """The augmentations with these names, with borders and colours as in the conventions."""
+        chosen = super().augmentations(names)
+        if self.published:
+            return dataclasses.replace(chosen, borders="repeat", linear_light=False)
+        return chosen
+
+
+@dataclass(frozen=True, kw_only=True)
+class DemonstrationConfig(Config):
+    """Options of algorithms that learn from demonstrations."""
+
+    demos: str = option(MISSING, "folder with a dataset of demonstrations", metavar="FOLDER")
+    num_demos: PositiveInt = option(10, "demonstrations per task, chosen by the seed")
+
+    @property
+    def learned_from(self) -> tuple[str, ...]:
+        """See `Config`."""
+        return (DEMONSTRATIONS, *super().learned_from)
+
+    @property
+    def training_details(self) -> dict[str, Any]:
+        """See `Config`."""
+        found = {
+            "demonstrations": f"{self.num_demos} of each task",
+            NUM_DEMOS: self.num_demos,
+        }
+        return {**super().training_details, **found}
+
+
+@dataclass(frozen=True, kw_only=True)
+class SupervisedConfig(DemonstrationConfig):
+    """Options of algorithms that `magical_baselines.training.fit` trains."""
+
+    batches: PositiveInt = option(20_000, "training batches")
+    batch_size: PositiveInt = option(32, "samples per batch")
+    log_every: PositiveInt = option(50, "batches between logged metrics")
+
+    @property
+    def num_updates(self) -> int:
+        """The number of batches."""
+        return self.batches
+
+    @property
+    def training_samples(self) -> int:
+        """The samples of all batches."""
+        return self.num_updates * self.batch_size
+
+
+@dataclass(frozen=True, slots=True)
+class Algorithm:
+    """What the file of an algorithm provides.
+
+    Attributes:
+        config: the configuration class.
+        train: called as `train(config, run)`; trains, logs, and saves checkpoints whose part
+            `policy` is the module that `make_policy` returns.
+        make_policy: a function from the configuration to a module that maps observations (B, ...)
+            and tasks (B,) to logits (B, 18), or to whatever `policy` expects.
+        policy: the class of the policy that acts with this module; `None` for `NetworkPolicy`.
+    """
+
+    config: type[Config]
+    train: "Callable[[Any, Run], None]"
+    make_policy: "Callable[[Any], nn.Module]"
+    policy: "type[TrainedPolicy] | None" = None
+
+
+_ALGORITHMS = Registry("algorithm", Algorithm, "magical.algorithms")
+
+
+def algorithm_names() -> list[str]:
+    """The names of all algorithms, including other distributions', sorted; imports none."""
+    return _ALGORITHMS.names()
+
+
+def find_algorithm(name: str) -> Algorithm:
+    """An algorithm by name, or by `module:NAME`.
+
+    Raises:
+        UnknownNameError: there is no algorithm of this name.
+        PluginError: the algorithm is a plugin that cannot be imported, or is not an `Algorithm`.
+        MissingDependencyError: PyTorch is not installed.
+    """
+    return _ALGORITHMS.get(name)
+
+
+def read_config(folder: Path | str, given: Mapping[str, Any] = MappingProxyType({})) -> Config:
+    """The configuration recorded in a run folder.
+
+    Args:
+        folder: the run folder.
+        given: settings that the user has named, too; their modules may be imported.
+
+    Raises:
+        RunFolderError: the record is missing, damaged, or names an unknown algorithm.
+        PluginError: the record names an object of a module that the user has not imported.
+        MissingDependencyError: PyTorch is not installed.
+        InvalidConfigError: the settings are invalid.
+    """
+    path = Path(folder) / CONFIG
+    if not is_run(folder):
+        raise RunFolderError(f"{folder}: expected a run folder with {CONFIG}, found none")
+    data = read_json(path)
+    algorithm = data.get("algorithm")
+    if not isinstance(algorithm, str):
+        raise RunFolderError(f"{path}: expected the name of an algorithm, found none")
+    require_imported(algorithm, str(path))
+    try:
+        kind = find_algorithm(algorithm).config
+    except UnknownNameError as error:
+        raise RunFolderError(f"{path}: {error}") from error
+    for name in references(kind, data):
+        if name not in given.values():
+            require_imported(name, str(path))
+    return kind.from_dict(data, str(path))
+
+
+def references(kind: type[Config], settings: Mapping[str, Any]) -> list[str]:
+    """The `module:NAME` among the settings of a configuration class."""
+    values = (settings.get(o.name) for o in options(kind) if o.metadata["plugins"])
+    return [value for value in values if isinstance(value, str) and ":" in value]
+
+
+def modules_of(config: Config) -> list[str]:
+    """What `--import` must name before another process may read the run of a configuration."""
+    names = [config.algorithm, *references(type(config), config.to_dict())]
+    return list(dict.fromkeys(name.rpartition(":")[0] for name in names if ":" in name))

@@ -8,17 +8,13 @@ float (B, size); `tasks` is int64 (B,), the position of each row's task in the c
 """
 
 import math
-from collections.abc import Iterator
-from contextlib import contextmanager
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
-from torch.nn.modules.batchnorm import _BatchNorm
 
 from magical.errors import PluginError
 from magical.scene import NUM_ACTIONS
-from magical_baselines.config import PIXEL_RANGES
 from magical_baselines.networks import find_network
 
 EMBEDDING = 32  # size of the learnt embedding of an action (docs/specification.md, section 11)
@@ -49,7 +45,7 @@ class Trunk(nn.Module):
         batch_norm: bool = False,
         action_input: str = "none",
         num_features: int | None = None,
-        pixel_range: str = "unit",
+        pixel_range: tuple[float, float] = (0.0, 1.0),
     ) -> None:
         """Build the trunk of an architecture, with PyTorch's initialisation.
 
@@ -60,8 +56,7 @@ class Trunk(nn.Module):
             action_input: how actions are joined: "one-hot", "embedding", or "none" if `forward`
                 takes no actions.
             num_features: replaces the last linear layer's size.
-            pixel_range: the range that images are mapped to: "unit" for [0, 1], "symmetric" for
-                [-1, 1].
+            pixel_range: the range that images in [0, 1] are mapped to.
 
         Raises:
             UnknownNameError: no such architecture.
@@ -82,7 +77,7 @@ class Trunk(nn.Module):
             self.convolutions = architecture.make_convolutions(input_shape[0], batch_norm)
             self.map_shape = _map_shape(self.convolutions, input_shape)
         self.action_input = action_input
-        self.pixels = PIXEL_RANGES[pixel_range]
+        self.pixels = pixel_range
         joined = JOINED[action_input]
         self.linear = _linear_layers([math.prod(self.map_shape), *hidden], joined)
         self.embedding = nn.Embedding(NUM_ACTIONS, EMBEDDING) if joined[1] else None
@@ -247,25 +242,6 @@ def centre(network: PolicyNetwork) -> None:
             brightness = low + (high - low) * MEAN_BRIGHTNESS
             first.bias.copy_(-brightness * first.weight.flatten(1).sum(dim=1))
         network.policy.linear.weight.mul_(POLICY_GAIN)
-
-
-@contextmanager
-def new_statistics(network: nn.Module) -> Iterator[None]:
-    """Context manager that recomputes batch norm's running statistics as means over batches.
-
-    The statistics from training belong to other weights, which have since changed or been averaged
-    (Izmailov et al., "Averaging weights leads to wider optima and better generalization", UAI
-    2018), or to augmented images. Within the context, the network must be in training mode.
-    """
-    layers = [module for module in network.modules() if isinstance(module, _BatchNorm)]
-    momenta = [layer.momentum for layer in layers]
-    for layer in layers:
-        layer.reset_running_stats()
-        layer.momentum = None  # the mean over all batches
-    with torch.no_grad():
-        yield
-    for layer, momentum in zip(layers, momenta, strict=True):
-        layer.momentum = momentum
 
 
 def sample_actions(logits: Tensor, uniforms: Tensor) -> tuple[Tensor, Tensor]:

@@ -16,18 +16,16 @@ from magical.evaluation.entry import THREADS
 from magical.evaluation.policy import Actions, Mask
 from magical.observe import ObservationSpec
 from magical.runs.folder import CHECKPOINT, RECORD, read_json
-from magical_baselines.algorithms import find_algorithm, read_config
 from magical_baselines.augmentation.augment import to_unit
-from magical_baselines.config import Config
-from magical_baselines.running.checkpoints import load_checkpoint, restoring
-from magical_baselines.running.devices import (
+from magical_baselines.checkpoints import load_checkpoint, restoring
+from magical_baselines.compute import (
     Compute,
     choose_device,
     cpu_threads,
     full_float32,
-    num_threads,
     read_compute,
 )
+from magical_baselines.config import Config, find_algorithm, read_config
 
 
 class TrainedPolicy:
@@ -75,7 +73,7 @@ class TrainedPolicy:
     @property
     def record(self) -> dict[str, Any]:
         """What entries state: algorithm, seed, what was learned from, CPU threads."""
-        return {**self.config.training_details, THREADS: num_threads()}
+        return {**self.config.training_details, THREADS: torch.get_num_threads()}
 
     def using_threads(self, number: int) -> AbstractContextManager[None]:
         """A context in which the network uses this number of CPU threads."""

@@ -11,7 +11,7 @@ from torch.distributions import Normal, kl_divergence
 from baselines.tests.conftest import TASKS
 from magical_baselines.algorithms import act
 from magical_baselines.algorithms.act import ACTConfig, act_losses, make_policy
-from magical_baselines.sequences.chunks import Chunks
+from magical_baselines.algorithms.chunks import Chunks
 
 LENGTH = 4
 SPACES = ("discrete", "continuous")

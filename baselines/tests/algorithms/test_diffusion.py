@@ -10,8 +10,8 @@ from torch import Tensor, nn
 
 from baselines.tests.conftest import TASKS
 from baselines.tests.tiny_runs import CPU
-from magical.errors import InvalidConfigError
 from magical_baselines.algorithms import diffusion
+from magical_baselines.algorithms.chunks import Chunks
 from magical_baselines.algorithms.diffusion import (
     NOISE_LEVELS,
     DiffusionConfig,
@@ -19,7 +19,6 @@ from magical_baselines.algorithms.diffusion import (
     diffusion_losses,
     make_policy,
 )
-from magical_baselines.sequences.chunks import Chunks
 
 LENGTH = 4
 
@@ -148,8 +147,3 @@ def test_a_policy_denoises_each_rollouts_own_noise() -> None:
     assert noise.dtype == torch.float32
     expected = np.random.default_rng(0).standard_normal((5, LENGTH, 3))
     np.testing.assert_allclose(noise.numpy(), expected, rtol=1e-6)
-
-
-def test_more_steps_than_noise_levels_are_refused() -> None:
-    with pytest.raises(InvalidConfigError, match="denoising_steps: expected at most the 100"):
-        config(denoising_steps=101)

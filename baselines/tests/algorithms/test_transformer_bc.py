@@ -23,7 +23,7 @@ from magical_baselines.algorithms.transformer_bc import (
     sample_windows,
 )
 from magical_baselines.augmentation.augment import to_unit
-from magical_baselines.data.expert_data import ExpertData
+from magical_baselines.data import ExpertData
 
 WINDOW = 4
 ID = "magical/MoveToCorner-Demo-v0"
@@ -55,7 +55,7 @@ def test_windows_end_at_samples_and_begin_at_the_demonstrations() -> None:
     actions = {"MoveToCorner": [3, 0, 4, 5, 9, 6], "MoveToRegion": [7, 8, 10, 0, 11]}
     pairs = [(task, picture_demo(task, 0, actions[task])) for task in TASKS]
     data = ExpertData(pairs, TASKS, PRESETS["LoRes4E"], remove_noops=True)
-    batch = sample_windows(config(batch_size=64), data, 3)
+    batch = sample_windows(config(batch_size=64), data, np.random.default_rng(3))
     lengths = set()
     for row, task in enumerate(batch.tasks.tolist()):
         shown = [int(image[-1, 0, 0] * 255) // 14 for image in batch.images[row]]
@@ -76,7 +76,7 @@ def test_the_actions_before_are_those_that_were_executed() -> None:
         picture_demo("MoveToCorner", 0, [3, 9, 5]), expert_actions=np.array([3, 4, 5])
     )
     data = ExpertData([("MoveToCorner", trajectory)], TASKS[:1], PRESETS["LoRes4E"])
-    batch = sample_windows(config(tasks=TASKS[:1], batch_size=16), data, 0)
+    batch = sample_windows(config(tasks=TASKS[:1], batch_size=16), data, np.random.default_rng(0))
     (last,) = np.flatnonzero(batch.actions[:, -1] == 5)[:1]
     assert batch.actions[last, -3:].tolist() == [3, 4, 5]
     assert batch.before[last, -3:].tolist() == [NOOP, 3, 9]
@@ -87,7 +87,7 @@ def test_a_window_is_augmented_in_one_way() -> None:
     pairs = [(task, picture_demo(task, 0, [3, 4])) for task in TASKS]
     data = ExpertData(pairs, TASKS, PRESETS["LoRes4E"])
     fields = {"augment": "translation", "batch_size": 4}
-    images = sample_windows(config(**fields), data, 0).images
+    images = sample_windows(config(**fields), data, np.random.default_rng(0)).images
     first = images[:, :1].expand(-1, WINDOW - 2, *images.shape[2:])
     assert torch.equal(images[:, 1 : WINDOW - 1], first)  # repeated before the start
     assert not torch.equal(images[0, 0], images[1, 0])
@@ -198,7 +198,7 @@ def test_a_batch_is_overfitted() -> None:
     pairs = [(task, picture_demo(task, 0, generator.integers(1, 18, 6))) for task in TASKS]
     data = ExpertData(pairs, TASKS, PRESETS["LoRes4E"], remove_noops=True)
     network = make_policy(config())
-    batch = sample_windows(config(batch_size=3), data, 0)
+    batch = sample_windows(config(batch_size=3), data, np.random.default_rng(0))
     optimizer = torch.optim.AdamW(network.parameters(), 1e-3)
     first: dict[str, Tensor] = {}
     for _ in range(25):

@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 import torch
 from filelock import FileLock
+from magical_baselines.running import training
 
 import magical
 from baselines.tests.experiments.conftest import Inline, Planned, execute, scores_of
@@ -27,7 +28,6 @@ from magical_baselines.experiments.execution import Processes
 from magical_baselines.experiments.one_run import evaluate_reference
 from magical_baselines.experiments.plan import PlannedReference
 from magical_baselines.experiments.status import lock_of, read_status
-from magical_baselines.running import training
 
 
 def record_of(out: Path, run: Any) -> dict[str, Any]:

@@ -24,16 +24,26 @@ from magical.observe.pixels import CHANNELS, STACK
 from magical.runs.sources import BENCHMARK_PRIOR, PARSER_SOURCES
 from magical.scene.actions import MIRRORED_ACTIONS
 from magical.tasks import get_task
-from magical_baselines.algorithms import Algorithm
-from magical_baselines.config import Config, DemonstrationSettings
-from magical_baselines.data.expert_data import load_demonstrations
-from magical_baselines.running.averages import Averages
-from magical_baselines.running.checkpoints import StateDict, restoring
-from magical_baselines.running.devices import choose_device, cpu_threads
-from magical_baselines.running.optimizers import load_optimizer, optimizer_state, set_learning_rate
-from magical_baselines.running.run import Run
-from magical_baselines.running.streams import Purpose, seeded_init, stream
-from magical_baselines.settings import FRACTION, NOT_NEGATIVE, POSITIVE, option
+from magical_baselines.compute import cpu_threads
+from magical_baselines.config import (
+    Algorithm,
+    Fraction,
+    NonNegativeFloat,
+    PositiveFloat,
+    PositiveInt,
+    SupervisedConfig,
+    option,
+)
+from magical_baselines.data import load_demonstrations
+from magical_baselines.training import (
+    Purpose,
+    Run,
+    anneal,
+    fit,
+    gradient_step,
+    seeded_init,
+    stream,
+)
 from magical_goals.objects.control import (
     ROBOT_TARGET,
     Controller,
@@ -59,7 +69,7 @@ GOAL_LEARNING_RATE = 0.05  # initial rate of the goal model; annealed linearly t
 
 
 @dataclass(frozen=True, kw_only=True)
-class ObjectBCConfig(Config):
+class ObjectBCConfig(SupervisedConfig):
     """Settings of object-centred behavioural cloning."""
 
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
@@ -69,40 +79,35 @@ class ObjectBCConfig(Config):
     seconds_each: ClassVar[tuple[float, float] | None] = 1e-4, 1.5e-3  # measured
 
     algorithm: str = "object-bc"
-    demonstrations: DemonstrationSettings
     perception: str = option(
-        PARSER, "what detects the objects in frames", choices=(PARSER,), others="module:NAME"
+        PARSER, "what detects the objects in frames", plugins="magical.perceptions", known=(PARSER,)
     )
-    batches: int = option(6000, "training batches", POSITIVE)
-    batch_size: int = option(256, "samples per batch of the controller", POSITIVE)
-    learning_rate: float = option(
-        2e-3, "the controller's initial learning rate; annealed linearly to 0", POSITIVE
+    batches: PositiveInt = option(6000, "training batches")
+    batch_size: PositiveInt = option(256, "samples per batch of the controller")
+    learning_rate: PositiveFloat = option(
+        2e-3, "the controller's initial learning rate; annealed linearly to 0"
     )
     mirror: bool = option(True, "swap left and right in half of the controller's samples")
-    block_range: float = option(
+    block_range: PositiveFloat = option(
         0.6,
         "units from the robot's centre and from its grip within which blocks are inputs of the "
         "controller",
-        POSITIVE,
     )
-    wall_range: float = option(
-        0.4, "the same for walls, from robot, target and destination", POSITIVE
+    wall_range: PositiveFloat = option(
+        0.4, "the same for walls, from robot, target and destination"
     )
-    drop_blocks: float = option(
+    drop_blocks: Fraction = option(
         0.3,
         "share of blocks other than targets that are dropped from the controller's samples",
-        FRACTION,
     )
-    goal_sparsity: float = option(
+    goal_sparsity: NonNegativeFloat = option(
         0.01,
         "weight of the goal model's group lasso; a fifth of it in the second half of training",
-        NOT_NEGATIVE,
     )
-    temperature: float = option(0.7, "softmax temperature for sampling actions", POSITIVE)
-    stuck_temperature: float = option(
-        4.0, "the same when a block is left to move but the robot has not moved", POSITIVE
+    temperature: PositiveFloat = option(0.7, "softmax temperature for sampling actions")
+    stuck_temperature: PositiveFloat = option(
+        4.0, "the same when a block is left to move but the robot has not moved"
     )
-    log_every: int = option(50, "batches between logged metrics", POSITIVE)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -123,16 +128,6 @@ class ObjectBCConfig(Config):
     def learned_from(self) -> tuple[str, ...]:
         """See `Config`; the relations, too, were chosen for these tasks."""
         return (*super().learned_from, *PARSER_SOURCES, BENCHMARK_PRIOR)
-
-    @property
-    def num_updates(self) -> int:
-        """The number of batches."""
-        return self.batches
-
-    @property
-    def training_samples(self) -> int:
-        """The samples of all the controller's batches."""
-        return self.batches * self.batch_size
 
 
 class ObjectPolicy(nn.Module):
@@ -207,10 +202,9 @@ class ObjectBCTrainer:
 
     def __init__(self, config: ObjectBCConfig, run: Run, policy: ObjectPolicy) -> None:
         """Create a new trainer, or resume from the run's checkpoint."""
-        self.config, self.run = config, run
-        self.device = choose_device(config.device)
+        self.config, self.run, self.compute = config, run, run.compute
+        self.device = self.compute.device
         self.policy = policy.to(self.device)
-        self.compute = run.compute(self.device, config.network_precision, config.threads)
         self.goal_optimizer = torch.optim.Adam(
             self.policy.goals.parameters(), GOAL_LEARNING_RATE, fused=True
         )
@@ -220,37 +214,27 @@ class ObjectBCTrainer:
             weight_decay=WEIGHT_DECAY,
             fused=True,
         )
-        if run.saved:
-            with restoring(run.folder):
-                self.policy.load_state_dict(run.saved["policy"])
-                load_optimizer(self.optimizer, run.saved["optimizer"])
-                load_optimizer(self.goal_optimizer, run.saved["goal_optimizer"])
+        run.keep(policy=self.policy, optimizer=self.optimizer, goal_optimizer=self.goal_optimizer)
 
     def fit(self, demonstrations: Sequence[ParsedDemonstration]) -> None:
         """Train from the run's step to the last batch, or until the run stops."""
-        config, run = self.config, self.run
+        config = self.config
         data = ObjectData(demonstrations, config.tasks, self.device)
-        averages = Averages()
-        for number in range(run.step, config.batches):
-            rng = stream(config.seed, Purpose.BATCHES, number)
-            averages.add(config.batch_size, **self.control_step(data, number, rng))
+
+        def update(number: int, rng: np.random.Generator) -> dict[str, Tensor]:
+            metrics = self.control_step(data, number, rng)
             if number % GOAL_EVERY == 0:
-                averages.add(1, **self.goal_step(data, number, rng))
-            if run.finish_step(
-                number + 1,
-                lambda: averages.reset(speed_of="loss"),
-                self.state_dict,
-                log_every=config.log_every,
-                last=number + 1 == config.batches,
-            ):
-                return
+                metrics |= self.goal_step(data, number, rng)
+            return metrics
+
+        fit(self.run, lambda number: stream(config.seed, Purpose.BATCHES, number), update)
 
     def control_step(
         self, data: ObjectData, number: int, rng: np.random.Generator
     ) -> dict[str, Tensor]:
         """Clone a batch of actions, given the goals found in hindsight."""
         config = self.config
-        set_learning_rate(self.optimizer, config.learning_rate * (1.0 - number / config.batches))
+        anneal(self.optimizer, number, config.batches)
         rows = data.sample_eventful(config.batch_size, rng)
         noise = rng.normal(0.0, DESTINATION_NOISE, (len(rows), 2)).astype(np.float32)
         destinations = data.destinations[rows] + torch.from_numpy(noise).to(self.device)
@@ -266,9 +250,7 @@ class ObjectBCTrainer:
         exchanged = torch.tensor(MIRRORED_ACTIONS, device=self.device)
         actions = torch.where(mirrored, exchanged[actions], actions)
         loss = functional.cross_entropy(logits, actions)
-        self.optimizer.zero_grad()
-        torch.autograd.backward(loss)
-        self.optimizer.step()
+        gradient_step(self.optimizer, loss)
         accuracy = (logits.argmax(dim=1) == actions).float().mean()
         return {"loss": loss, "accuracy": accuracy}
 
@@ -280,7 +262,7 @@ class ObjectBCTrainer:
         refit = number - config.batches // 2
         if config.goal_sparsity and 0 <= refit < GOAL_EVERY:  # first step of the second half
             goals.leave_out()
-        set_learning_rate(self.goal_optimizer, GOAL_LEARNING_RATE * (1.0 - number / config.batches))
+        anneal(self.goal_optimizer, number, config.batches)
         rows = data.sample_each(GOAL_BATCH_SIZE, rng)
         places = rng.uniform(-BORDER, BORDER, (len(rows), CANDIDATES, 2)).astype(np.float32)
         target_loss, destination_loss = goal_losses(
@@ -293,18 +275,8 @@ class ObjectBCTrainer:
             torch.from_numpy(places).to(self.device),
         )
         penalty = goals.penalty(config.goal_sparsity * (REFITTED if refit >= 0 else 1.0))
-        self.goal_optimizer.zero_grad()
-        torch.autograd.backward(target_loss + destination_loss + penalty)
-        self.goal_optimizer.step()
+        gradient_step(self.goal_optimizer, target_loss + destination_loss + penalty)
         return {"target_loss": target_loss, "destination_loss": destination_loss}
-
-    def state_dict(self) -> StateDict:
-        """The state of the policy and both optimisers."""
-        return {
-            "policy": self.policy.state_dict(),
-            "optimizer": optimizer_state(self.optimizer),
-            "goal_optimizer": optimizer_state(self.goal_optimizer),
-        }
 
 
 ALGORITHM = Algorithm(ObjectBCConfig, train, make_policy)

@@ -29,11 +29,10 @@ from magical.observe.pixels import STACK
 from magical.scene import NOOP
 from magical.scene.poses import ROBOT
 from magical.untrusted import parse_json
-from magical_baselines.algorithms import Algorithm
-from magical_baselines.data.expert_data import load_demonstrations
+from magical_baselines.config import Algorithm
+from magical_baselines.data import load_demonstrations
 from magical_baselines.policy import TrainedPolicy, load_policy, sample_actions, to_inputs
-from magical_baselines.running.run import Run
-from magical_baselines.running.streams import Purpose, seeded_init, stream
+from magical_baselines.training import Purpose, Run, seeded_init, stream
 from magical_goals.intent.acting import Intention
 from magical_goals.intent.posterior import Belief, Explanation, infer
 from magical_goals.intent.scenes import parsed_episode, parsed_poses, parsed_scene

@@ -22,26 +22,25 @@ turn, the mean of their predictions is never right, so `quick` has no temporal e
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, cast
+from typing import Any, ClassVar, Literal
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from magical.envs.action_spec import ACTION_SPECS, ActionSpaceName
-from magical_baselines.algorithms import Algorithm
-from magical_baselines.models import TaskLinear, Trunk
-from magical_baselines.running.run import Run
-from magical_baselines.running.streams import seeded_init
-from magical_baselines.sequences.chunks import (
+from magical_baselines.algorithms.chunks import (
     ACTION_SIZES,
+    QUICK,
     ChunkConfig,
     ChunkPolicy,
     Chunks,
+    fit_sequences,
+    masked_mean,
     sample_chunks,
 )
-from magical_baselines.sequences.fitting import QUICK, fit, masked_mean
-from magical_baselines.settings import NOT_NEGATIVE, option
+from magical_baselines.config import Algorithm, NonNegativeFloat, option
+from magical_baselines.models import TaskLinear, Trunk
+from magical_baselines.training import Run, seeded_init
 
 WIDTH, FEEDFORWARD, HEADS, DROPOUT = 64, 256, 4, 0.1  # of all three transformers
 LAYERS = {"encoder": 2, "decoder": 1, "style": 1}
@@ -58,27 +57,18 @@ class ACTConfig(ChunkConfig):
     }
 
     algorithm: str = "act"
-    actions: str = option(
-        "discrete",
-        "action space of the predictions",
-        choices=tuple(ACTION_SPECS),
-        name="action_space",
+    action_space: Literal["discrete", "continuous"] = option(
+        "discrete", "action space of the predictions"
     )
     ensemble: bool = option(True, "average the chunks that predict a step (temporal ensembling)")
-    ensemble_decay: float = option(
+    ensemble_decay: NonNegativeFloat = option(
         0.01,
         "temporal ensembling: the n-th chunk that predicts a step has weight exp(-x n), with "
         "n = 0 for the oldest",
-        NOT_NEGATIVE,
     )
-    kl_weight: float = option(
-        10.0, "weight of the KL divergence of z from N(0, 1); 0: no latent z", NOT_NEGATIVE
+    kl_weight: NonNegativeFloat = option(
+        10.0, "weight of the KL divergence of z from N(0, 1); 0: no latent z"
     )
-
-    @property
-    def action_space(self) -> ActionSpaceName:
-        """See `Config`."""
-        return cast(ActionSpaceName, self.actions)
 
 
 class ACTNetwork(nn.Module):
@@ -86,9 +76,9 @@ class ACTNetwork(nn.Module):
 
     def __init__(self, config: ACTConfig) -> None:
         super().__init__()
-        self.trunk = Trunk(config.networks.network, config.input_shape, batch_norm=True)
+        self.trunk = Trunk(config.network, config.input_shape, batch_norm=True)
         channels, *positions = self.trunk.map_shape
-        action_size, length = ACTION_SIZES[config.action_space], config.chunks.chunk
+        action_size, length = ACTION_SIZES[config.action_space], config.chunk
         self.projection = nn.Linear(channels, WIDTH)
         self.positions = _learnt(math.prod(positions))
         self.task = nn.Embedding(len(config.tasks), WIDTH)
@@ -178,7 +168,7 @@ class ACTPolicy(ChunkPolicy):
 
 def train(config: ACTConfig, run: Run) -> None:
     """Learn from the demonstrations."""
-    fit(config, run, make_policy(config), sample_chunks, act_losses)
+    fit_sequences(config, run, make_policy(config), sample_chunks, act_losses)
 
 
 def make_policy(config: ACTConfig) -> ACTNetwork:

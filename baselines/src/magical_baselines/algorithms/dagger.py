@@ -16,8 +16,7 @@ cloning (Table 3), its 20,000 batches split between the rounds.
 
 from collections.abc import Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field
-from functools import partial
+from dataclasses import dataclass
 from statistics import fmean
 from typing import Any, ClassVar
 
@@ -36,15 +35,18 @@ from magical.experts import EpisodeExpert, expert_for, get_planner, strategy_see
 from magical.runs.sources import EXPERT_LABELS, INTERACTION, TEST_VARIANTS
 from magical.scene import Dynamics
 from magical.tasks.axes import full_variant, short_variant
-from magical_baselines.algorithms import Algorithm
-from magical_baselines.algorithms.bc import BCConfig, BCTrainer, CloningSettings, make_policy
-from magical_baselines.config import IMAGE_OBSERVATIONS
-from magical_baselines.data.expert_data import TaskTrajectories, load_demonstrations
+from magical_baselines.algorithms.bc import BCConfig, BCTrainer, make_policy
+from magical_baselines.config import (
+    IMAGE_OBSERVATIONS,
+    Algorithm,
+    Fraction,
+    NonNegativeInt,
+    PositiveInt,
+    option,
+)
+from magical_baselines.data import TaskTrajectories, load_demonstrations
 from magical_baselines.policy import NetworkPolicy
-from magical_baselines.running.checkpoints import restoring
-from magical_baselines.running.run import Run
-from magical_baselines.running.streams import Purpose, stream
-from magical_baselines.settings import FRACTION, NOT_NEGATIVE, POSITIVE, option
+from magical_baselines.training import Purpose, Run, stream
 
 AGGREGATE = "aggregate"  # in the run folder
 
@@ -60,24 +62,20 @@ class DAggerConfig(BCConfig):
     }
 
     algorithm: str = "dagger"
-    cloning: CloningSettings = field(
-        default_factory=partial(CloningSettings, batches=2_000)
-    )  # per round
-    rounds: int = option(
-        10, "rounds, each of `batches` batches; all but the first collect episodes", POSITIVE
+    batches: PositiveInt = option(2_000, "training batches of each round")
+    rounds: PositiveInt = option(
+        10, "rounds, each of `batches` batches; all but the first collect episodes"
     )
-    episodes: int = option(
-        10, "episodes of each task per round, rotating through the variants", POSITIVE
+    episodes: PositiveInt = option(
+        10, "episodes of each task per round, rotating through the variants"
     )
     variants: tuple[str, ...] = option(
         ("Demo",), "variants in which episodes are collected", metavar="VARIANT"
     )
-    beta_decay: float = option(
-        0.5, "in round i, the expert's action is taken with probability decay^i", FRACTION
+    beta_decay: Fraction = option(
+        0.5, "in round i, the expert's action is taken with probability decay^i"
     )
-    workers: int | None = option(
-        None, "environment processes (default: one per core)", NOT_NEGATIVE
-    )
+    workers: NonNegativeInt | None = option(None, "environment processes (default: one per core)")
 
     @property
     def learned_from(self) -> tuple[str, ...]:
@@ -103,7 +101,7 @@ class DAggerConfig(BCConfig):
     @property
     def num_updates(self) -> int:
         """The batches of all rounds."""
-        return self.rounds * self.cloning.batches
+        return self.rounds * self.batches
 
     @property
     def env_ids(self) -> list[EnvId]:
@@ -121,6 +119,7 @@ def train(config: DAggerConfig, run: Run) -> None:
     demonstrations = load_demonstrations(config, run)
     trainer = BCTrainer(config, run)
     aggregated = AggregatedDataset(config, run)
+    run.keep(aggregate=aggregated)
     if run.step == config.num_updates:
         return
     with closing(
@@ -132,7 +131,7 @@ def train(config: DAggerConfig, run: Run) -> None:
             copy=False,
         )
     ) as envs:
-        for number in range(run.step // config.cloning.batches, config.rounds):
+        for number in range(run.step // config.batches, config.rounds):
             if aggregated.rounds < number:
                 rng = stream(config.seed, Purpose.ENVIRONMENTS, number)
                 policy = NetworkPolicy(trainer.network, config, trainer.compute)
@@ -228,43 +227,50 @@ def train_round(
     episodes = aggregated.until(number)
     entries = episodes.entries
     labelled = (*demonstrations, *zip((entry.task for entry in entries), episodes, strict=True))
-    data = trainer.expert_data(labelled)
     metrics = {
         "round": number,
         "expert_share": config.beta(number),
         "labels": sum(len(trajectory) for _, trajectory in labelled),  # before removing no-ops
-        "samples": len(data),
     }
     if number:
         metrics["score"] = fmean(e.final_score for e in entries[-len(config.env_ids) :])
-    until = (number + 1) * config.cloning.batches
-    return trainer.fit(data, until, metrics, {"aggregate": [e.fingerprint for e in entries]})
+    return trainer.fit(labelled, (number + 1) * config.batches, metrics)
 
 
 class AggregatedDataset:
     """The labelled episodes of a run on disk, in the order of their rounds."""
 
     def __init__(self, config: DAggerConfig, run: Run) -> None:
-        """Create or open the dataset.
+        """Create or open the dataset."""
+        self._per_round = len(config.env_ids)
+        # There may be one more round, complete or partial, if the run ended while collecting it.
+        self._at_most = self._per_round * min(run.step // config.batches + 1, config.rounds - 1)
+        self.folder = run.folder / AGGREGATE
+        self._writer = DatasetWriter(self.folder)
+        self._dataset = Dataset.open(self.folder)
+        self._used = 0  # episodes that the policy has learned from
+        if not run.saved:
+            self.load_state_dict({"sha256": []})
+
+    def state_dict(self) -> dict[str, Any]:
+        """The digests of the episodes that the policy has learned from."""
+        return {"sha256": [entry.fingerprint for entry in self._dataset.entries[: self._used]]}
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Check that the folder has the episodes of a checkpoint.
 
         Raises:
             RunFolderError: the episodes are not those that the checkpoint was trained on.
         """
-        self._per_round = len(config.env_ids)
-        self.folder = run.folder / AGGREGATE
-        self._writer = DatasetWriter(self.folder)
-        self._dataset = Dataset.open(self.folder)
-        with restoring(run.folder):
-            expected = list(run.saved["aggregate"]) if run.saved else []
-        # There may be one more round, complete or partial, if the run ended while collecting it.
-        at_most = self._per_round * min(run.step // config.cloning.batches + 1, config.rounds - 1)
+        expected = list(state["sha256"])
         found = [entry.fingerprint for entry in self._dataset.entries]
-        if found[: len(expected)] != expected or len(found) > at_most:
+        if found[: len(expected)] != expected or len(found) > self._at_most:
             raise RunFolderError(
                 f"{self.folder}: expected the {len(expected)} episodes that the checkpoint was "
                 f"learned from, found {len(found)} or others; restore the folder from a "
                 "copy, or begin another run"
             )
+        self._used = len(expected)
 
     @property
     def rounds(self) -> int:
@@ -278,8 +284,9 @@ class AggregatedDataset:
         self._dataset = Dataset.open(self.folder)
 
     def until(self, number: int) -> Dataset:
-        """The episodes of rounds 1 to `number`; later rounds may already be stored."""
-        return self._dataset[: number * self._per_round]
+        """The episodes of rounds 1 to `number`, to learn from; later ones may be stored, too."""
+        self._used = number * self._per_round
+        return self._dataset[: self._used]
 
 
 ALGORITHM = Algorithm(DAggerConfig, train, make_policy)

@@ -16,31 +16,27 @@ denoiser sees these steps, too.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import partial
-from typing import Any, ClassVar
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from magical.envs.action_spec import ActionSpaceName
 from magical.errors import InvalidConfigError
-from magical_baselines.algorithms import Algorithm
-from magical_baselines.models import Trunk
-from magical_baselines.running.run import Run
-from magical_baselines.running.streams import seeded_init
-from magical_baselines.sequences.chunks import (
+from magical_baselines.algorithms.chunks import (
     ACTION_SIZES,
+    QUICK,
     ChunkConfig,
     ChunkPolicy,
     Chunks,
-    ChunkSettings,
+    fit_sequences,
     sample_chunks,
 )
-from magical_baselines.sequences.fitting import QUICK, fit
-from magical_baselines.settings import POSITIVE, option
+from magical_baselines.config import Algorithm, PositiveInt, option
+from magical_baselines.models import Trunk
+from magical_baselines.training import Run, seeded_init
 
 ACTION_SIZE = ACTION_SIZES["continuous"]
 NOISE_LEVELS = 100  # T, in training
@@ -60,8 +56,8 @@ class DiffusionConfig(ChunkConfig):
     }
 
     algorithm: str = "diffusion"
-    chunks: ChunkSettings = field(default_factory=partial(ChunkSettings, execute=8))
-    denoising_steps: int = option(10, "DDIM steps per chunk", POSITIVE)
+    execute: PositiveInt = option(8, "steps between predictions of chunks")
+    denoising_steps: PositiveInt = option(10, "DDIM steps per chunk")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -72,7 +68,7 @@ class DiffusionConfig(ChunkConfig):
             )
 
     @property
-    def action_space(self) -> ActionSpaceName:
+    def action_space(self) -> Literal["continuous"]:
         """See `Config`."""
         return "continuous"
 
@@ -85,7 +81,7 @@ class DiffusionNetwork(nn.Module):
     def __init__(self, config: DiffusionConfig) -> None:
         super().__init__()
         self.denoising_steps = config.denoising_steps
-        self.trunk = Trunk(config.networks.network, config.input_shape, batch_norm=True)
+        self.trunk = Trunk(config.network, config.input_shape, batch_norm=True)
         self.task = nn.Embedding(len(config.tasks), self.trunk.num_features)
         self.denoiser = Denoiser(self.trunk.num_features)
         self.register_buffer("alphas", cosine_schedule(NOISE_LEVELS), persistent=False)
@@ -194,13 +190,13 @@ class DiffusionPolicy(ChunkPolicy):
 
     def extra_inputs(self, count: int, rng: np.random.Generator) -> Sequence[Tensor]:
         """See `ChunkPolicy`: the noise (B, K, 3)."""
-        noise = rng.standard_normal((count, self.config.chunks.chunk, ACTION_SIZE))
+        noise = rng.standard_normal((count, self.config.chunk, ACTION_SIZE))
         return (torch.from_numpy(noise).float(),)
 
 
 def train(config: DiffusionConfig, run: Run) -> None:
     """Learn from the demonstrations."""
-    fit(config, run, make_policy(config), sample_chunks, diffusion_losses)
+    fit_sequences(config, run, make_policy(config), sample_chunks, diffusion_losses)
 
 
 def make_policy(config: DiffusionConfig) -> DiffusionNetwork:

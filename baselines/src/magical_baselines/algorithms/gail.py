@@ -13,8 +13,8 @@ maximises the reward log D(s, a). One iteration:
    the demonstrations and the other from the replay buffer.
 """
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -23,7 +23,6 @@ from torch import Tensor
 from torch.nn import functional
 from torch.optim import Adam
 
-from magical_baselines.algorithms import Algorithm
 from magical_baselines.algorithms.ppo import (
     PUBLISHED_CODE,
     QUICK,
@@ -32,62 +31,45 @@ from magical_baselines.algorithms.ppo import (
     make_policy,
 )
 from magical_baselines.augmentation.augment import augment, to_unit
-from magical_baselines.augmentation.names import augment_option
-from magical_baselines.config import DemonstrationSettings
-from magical_baselines.data.expert_data import ExpertData, load_demonstrations, split_evenly
+from magical_baselines.config import (
+    Algorithm,
+    DemonstrationConfig,
+    PositiveFloat,
+    PositiveInt,
+    augment_option,
+    option,
+)
+from magical_baselines.data import ExpertData, load_demonstrations, split_evenly
 from magical_baselines.models import Discriminator, Trunk, init_normal
-from magical_baselines.reinforcement.monitoring import Metrics
-from magical_baselines.reinforcement.replay_buffer import ROLLOUTS, ReplayBuffer
-from magical_baselines.reinforcement.reward_normalisation import RewardNormaliser, reward_floor
-from magical_baselines.reinforcement.rollouts import Rollout
-from magical_baselines.running.averages import Averages
-from magical_baselines.running.checkpoints import StateDict, restoring
-from magical_baselines.running.devices import Compute
-from magical_baselines.running.optimizers import load_optimizer, optimizer_state
-from magical_baselines.running.run import Run
-from magical_baselines.running.streams import Purpose, seeded_init, stream
-from magical_baselines.settings import POSITIVE, Settings, option
+from magical_baselines.replay import RecentRollouts
+from magical_baselines.rollouts import Metrics, RewardNormaliser, Rollout
+from magical_baselines.training import Averages, Purpose, Run, gradient_step, seeded_init, stream
 
 DISCRIMINATOR_INIT = 1  # number of the initialisation; the policy's is 0
 
 
 @dataclass(frozen=True, kw_only=True)
-class DiscriminatorSettings(Settings):
-    """How a discriminator is trained and its rewards are normalised; the defaults are Table 4's."""
+class AdversarialConfig(DemonstrationConfig, ReinforcementConfig):
+    """Options of algorithms with a discriminator; the defaults are Table 4's."""
 
-    steps: int = option(
-        12, "the discriminator's optimiser steps per update", POSITIVE, name="discriminator_steps"
+    discriminator_steps: PositiveInt = option(12, "the discriminator's optimiser steps per update")
+    discriminator_batch_size: PositiveInt = option(
+        24, "samples per discriminator step, half of them the expert's"
     )
-    batch_size: int = option(
-        24,
-        "samples per discriminator step, half of them the expert's",
-        name="discriminator_batch_size",
-    )
-    learning_rate: float = option(
-        2.5e-5,
-        "Adam's learning rate for the discriminator",
-        POSITIVE,
-        name="discriminator_learning_rate",
+    discriminator_learning_rate: PositiveFloat = option(
+        2.5e-5, "Adam's learning rate for the discriminator"
     )
     augment: str = augment_option("all", "the discriminator's images")
-    reward_std: float = option(0.1, "standard deviation of the normalised rewards", POSITIVE)
-
-
-@dataclass(frozen=True, kw_only=True)
-class AdversarialConfig(ReinforcementConfig):
-    """Base of the configurations of algorithms with a discriminator."""
-
-    demonstrations: DemonstrationSettings
-    discriminator: DiscriminatorSettings = field(default_factory=DiscriminatorSettings)
+    reward_std: PositiveFloat = option(0.1, "standard deviation of the normalised rewards")
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.require_halves("discriminator_batch_size", self.discriminator.batch_size)
+        self.require_halves("discriminator_batch_size", self.discriminator_batch_size)
 
     @property
     def discriminator_samples(self) -> int:
         """The samples of all batches of the discriminator."""
-        return self.num_updates * self.discriminator.steps * self.discriminator.batch_size
+        return self.num_updates * self.discriminator_steps * self.discriminator_batch_size
 
     @property
     def training_samples(self) -> int:
@@ -112,11 +94,6 @@ class GAILConfig(AdversarialConfig):
     algorithm: str = "gail"
 
 
-def train(config: GAILConfig, run: Run) -> None:
-    """Imitate demonstrations."""
-    train_adversarially(config, run, gail_loss, gail_reward)
-
-
 class DiscriminatorBatch(NamedTuple):
     """B samples from the expert, followed by B from the novice."""
 
@@ -130,6 +107,11 @@ Loss = Callable[
     [Discriminator, DiscriminatorBatch, np.random.Generator], tuple[Tensor, dict[str, Tensor]]
 ]
 RewardFn = Callable[[Tensor], Tensor]  # logits -> rewards of the same shape
+
+
+def train(config: GAILConfig, run: Run) -> None:
+    """Imitate demonstrations."""
+    train_adversarially(config, run, gail_loss, gail_reward)
 
 
 def gail_loss(
@@ -153,124 +135,79 @@ def train_adversarially(config: AdversarialConfig, run: Run, loss: Loss, reward:
     """Train policy and discriminator alternately."""
     demonstrations = load_demonstrations(config, run)
     with PPOTrainer(config, run) as ppo:
-        expert = ExpertData(
-            demonstrations, config.tasks, config.observation_spec, device=ppo.device
+        device, compute = ppo.device, run.compute
+        expert = ExpertData(demonstrations, config.tasks, config.observation_spec, device=device)
+        novice = RecentRollouts(ppo.envs.task_of, device)
+        discriminator = make_discriminator(config).to(device)
+        optimizer = Adam(discriminator.parameters(), config.discriminator_learning_rate, fused=True)
+        normaliser = RewardNormaliser(
+            len(config.tasks), config.reward_std, published=config.published
+        ).to(device)
+        run.keep(
+            discriminator=discriminator,
+            discriminator_optimizer=optimizer,
+            replay_buffer=novice,
+            reward_statistics=normaliser,
         )
-        replay_buffer = ReplayBuffer(ROLLOUTS, ppo.envs.task_of)
-        discriminator = DiscriminatorTrainer(
-            config, expert, replay_buffer, ppo.compute, loss, reward
-        )
-        if run.saved:
-            with restoring(run.folder):
-                discriminator.load_state_dict(run.saved["discriminator"])
+        augmentations = config.augmentations(config.augment)
         for update in ppo.remaining_updates():
+            # Collect a rollout, and compute its rewards.
             rollout = ppo.collect_rollout(update)
-            rewards, metrics = discriminator.rewards(rollout)
-            metrics |= ppo.improve_policy(update, rollout, rewards)
+            with compute.autocast():
+                logits = rollout_logits(discriminator, rollout)
+            raw = reward(logits.float())
+            metrics: Metrics = {
+                "raw_reward": raw.mean().item(),
+                "raw_reward_std": raw.std(correction=0).item(),
+            }
+            # Update the policy.
+            metrics |= ppo.improve_policy(update, rollout, normaliser(raw, rollout.tasks))
+            # Update the discriminator.
             with ppo.monitor.timed("discriminator"):
-                replay_buffer.add(rollout.observations, rollout.actions)
-                metrics |= discriminator.train(stream(config.seed, Purpose.DISCRIMINATOR, update))
-            if ppo.finish_update(
-                update, metrics, lambda: {"discriminator": discriminator.state_dict()}
-            ):
+                novice.add(rollout.observations, rollout.actions)
+                rng, averages = stream(config.seed, Purpose.DISCRIMINATOR, update), Averages()
+                for _ in range(config.discriminator_steps):
+                    counts = split_evenly(
+                        config.discriminator_batch_size // 2, len(config.tasks), rng
+                    )
+                    batch = sample_batch(expert, novice, counts, rng)
+                    images = augment(batch.images, augmentations, rng)
+                    with compute.autocast():
+                        value, logged = loss(discriminator, batch._replace(images=images), rng)
+                    gradient_step(optimizer, value)
+                    averages.add(1, discriminator_loss=value, **logged)
+                metrics |= averages.reset()
+            if ppo.finish_update(update, metrics):
                 break
 
 
-class DiscriminatorTrainer:
-    """A discriminator, its optimiser, and the two sources of its batches."""
+def rollout_logits(discriminator: Discriminator, rollout: Rollout) -> Tensor:
+    """Logits (T, N) of a rollout, with batch norm in evaluation mode.
 
-    def __init__(
-        self,
-        config: AdversarialConfig,
-        expert: ExpertData,
-        replay_buffer: ReplayBuffer,
-        compute: Compute,
-        loss: Loss,
-        reward: RewardFn,
-    ) -> None:
-        self.config = config
-        self.network = make_discriminator(config).to(compute.device)
-        rate = config.discriminator.learning_rate
-        self.optimizer = Adam(self.network.parameters(), rate, fused=True)
-        self._expert = expert
-        self._replay_buffer = replay_buffer
-        self._normaliser = RewardNormaliser(
-            len(config.tasks), config.discriminator.reward_std, reward_floor(config.networks)
-        ).to(compute.device)
-        self._augmentations = config.networks.augmentations(config.discriminator.augment)
-        self._compute = compute
-        self._loss = loss
-        self._reward = reward
+    On a CPU, they are computed step by step, which takes less memory.
+    """
+    steps, envs = rollout.actions.shape
+    tasks = rollout.tasks.repeat(steps)
+    samples = rollout.observations.flatten(0, 1), rollout.actions.flatten(), tasks
+    size = envs if tasks.device.type == "cpu" else steps * envs
+    chunks = zip(*(torch.split(part, size) for part in samples), strict=True)
+    discriminator.eval()
+    with torch.no_grad():
+        logits = [discriminator(to_unit(images), *others) for images, *others in chunks]
+    discriminator.train()
+    return torch.cat(logits).view(steps, envs)
 
-    def rewards(self, rollout: Rollout) -> tuple[Tensor, Metrics]:
-        """Normalised rewards (T, N) of a rollout, and raw rewards' mean and standard deviation.
 
-        Batch norm is in evaluation mode.
-        """
-        self.network.eval()
-        steps, envs = rollout.actions.shape
-        chunk = envs if self._compute.device == "cpu" else steps * envs
-        tasks = rollout.tasks.repeat(steps)
-        samples = rollout.observations.flatten(0, 1), rollout.actions.flatten(), tasks
-        chunks = zip(*(torch.split(part, chunk) for part in samples), strict=True)
-        with torch.no_grad(), self._compute.autocast():
-            logits = [
-                self.network(to_unit(images), actions, numbers)
-                for images, actions, numbers in chunks
-            ]
-        self.network.train()
-        raw = self._reward(torch.cat(logits).float()).view(steps, envs)
-        metrics: Metrics = {
-            "raw_reward": raw.mean().item(),
-            "raw_reward_std": raw.std(correction=0).item(),
-        }
-        return self._normaliser(raw, rollout.tasks), metrics
-
-    def train(self, rng: np.random.Generator) -> Metrics:
-        """Take an update's optimiser steps; returns the means of the logged values."""
-        averages = Averages()
-        for _ in range(self.config.discriminator.steps):
-            averages.add(1, **self._step(self.sample_batch(rng), rng))
-        return {**averages.reset()}
-
-    def _step(self, batch: DiscriminatorBatch, rng: np.random.Generator) -> dict[str, Tensor]:
-        """Take one optimiser step on a batch; returns the values to log."""
-        images = augment(batch.images, self._augmentations, rng)
-        with self._compute.autocast():
-            loss, logged = self._loss(self.network, batch._replace(images=images), rng)
-        self.optimizer.zero_grad()
-        torch.autograd.backward(loss)
-        self.optimizer.step()
-        return {"discriminator_loss": loss, **logged}
-
-    def sample_batch(self, rng: np.random.Generator) -> DiscriminatorBatch:
-        """Sample a batch as stored; both halves are split between the tasks in the same way."""
-        half = self.config.discriminator.batch_size // 2
-        counts = split_evenly(half, len(self.config.tasks), rng)
-        rows = self._expert.sample_counts(counts, rng)
-        expert_actions, expert_tasks = self._expert.labels(rows)
-        novice_images, novice_actions, novice_tasks = self._replay_buffer.sample(counts, rng)
-        return DiscriminatorBatch(
-            torch.cat([self._expert.images(rows), novice_images]),
-            torch.cat([expert_actions, novice_actions]),
-            torch.cat([expert_tasks, novice_tasks]),
-        )
-
-    def state_dict(self) -> StateDict:
-        """Everything that the next update depends on."""
-        return {
-            "network": self.network.state_dict(),
-            "optimizer": optimizer_state(self.optimizer),
-            "replay_buffer": self._replay_buffer.state_dict(),
-            "reward_statistics": self._normaliser.state_dict(),
-        }
-
-    def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Restore what `state_dict` returned."""
-        self.network.load_state_dict(state["network"])
-        load_optimizer(self.optimizer, state["optimizer"])
-        self._replay_buffer.load_state_dict(state["replay_buffer"], self._compute.device)
-        self._normaliser.load_state_dict(state["reward_statistics"])
+def sample_batch(
+    expert: ExpertData, novice: RecentRollouts, counts: Sequence[int], rng: np.random.Generator
+) -> DiscriminatorBatch:
+    """Sample `counts[k]` samples of task k from both, as stored."""
+    rows = expert.sample_counts(counts, rng)
+    novice_images, *novice_labels = novice.sample(counts, rng)
+    images = torch.cat([expert.images(rows), novice_images])
+    pairs = zip(expert.labels(rows), novice_labels, strict=True)
+    actions, tasks = (torch.cat(pair) for pair in pairs)
+    return DiscriminatorBatch(images, actions, tasks)
 
 
 def make_discriminator(config: AdversarialConfig) -> Discriminator:
@@ -279,17 +216,16 @@ def make_discriminator(config: AdversarialConfig) -> Discriminator:
     In the published code, the last layer of a multi-task run has a table row for each task,
     initialised from N(0, 1); with one task it is a plain linear layer.
     """
-    networks = config.networks
     with seeded_init(config.seed, DISCRIMINATOR_INIT):
         trunk = Trunk(
-            networks.network,
+            config.network,
             config.input_shape,
             batch_norm=True,
-            action_input=networks.action_input,
-            pixel_range=networks.pixel_range,
+            action_input=config.action_input,
+            pixel_range=config.pixel_range,
         )
         discriminator = Discriminator(trunk, len(config.tasks))
-        if networks.published and len(config.tasks) > 1:
+        if config.published and len(config.tasks) > 1:
             init_normal(discriminator.last)
         return discriminator
 

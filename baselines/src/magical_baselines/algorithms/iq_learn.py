@@ -31,7 +31,7 @@ its V, as if the episode went on; without it, with 0.
 
 from collections.abc import Mapping
 from copy import deepcopy
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
@@ -39,54 +39,39 @@ import torch
 from torch import Tensor
 
 from magical.errors import InvalidConfigError
-from magical_baselines.algorithms import Algorithm
 from magical_baselines.augmentation.augment import augment, to_unit
-from magical_baselines.augmentation.names import augment_option
-from magical_baselines.config import DemonstrationSettings, NetworkSettings
-from magical_baselines.data.expert_data import TaskTrajectories, load_demonstrations, split_evenly
+from magical_baselines.config import (
+    Algorithm,
+    DemonstrationConfig,
+    Fraction,
+    NonNegativeInt,
+    PositiveFloat,
+    PositiveInt,
+    augment_option,
+    option,
+)
+from magical_baselines.data import ExpertData, TaskTrajectories, load_demonstrations, split_evenly
 from magical_baselines.models import PolicyNetwork, Trunk, centre, sample_actions
-from magical_baselines.reinforcement.interaction import InteractionConfig, InteractionSettings
-from magical_baselines.reinforcement.monitoring import Metrics
-from magical_baselines.reinforcement.rollouts import EpisodeScores
-from magical_baselines.reinforcement.trainer import InteractionTrainer
-from magical_baselines.reinforcement.transitions import TransitionBuffer, Transitions
-from magical_baselines.running.averages import Averages
-from magical_baselines.running.checkpoints import StateDict, restoring
-from magical_baselines.running.optimizers import set_learning_rate
-from magical_baselines.running.run import Run
-from magical_baselines.running.streams import Purpose, seeded_init, stream
-from magical_baselines.settings import FRACTION, NOT_NEGATIVE, POSITIVE, option
+from magical_baselines.replay import ReplayBuffer, Transitions, expert_transitions
+from magical_baselines.rollouts import (
+    EpisodeScores,
+    InteractionConfig,
+    InteractionTrainer,
+    Metrics,
+)
+from magical_baselines.training import (
+    Averages,
+    Purpose,
+    Run,
+    anneal,
+    gradient_step,
+    seeded_init,
+    stream,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
-class IQSettings(InteractionSettings):
-    """How a soft Q function is learned; the defaults are the published code's for Pong."""
-
-    num_steps: int = option(1, "T: steps of each environment per update", POSITIVE)
-    buffer_size: int = option(50_000, "frames in the replay buffer, about one per step", POSITIVE)
-    gradient_steps: int = option(32, "optimiser steps per update", POSITIVE)
-    batch_size: int = option(
-        128, "transitions per optimiser step, half of them from demonstrations", POSITIVE
-    )
-    learning_rate: float = option(1e-4, "Adam's initial learning rate", POSITIVE)
-    anneal: bool = option(False, "anneal the learning rate linearly to 0")
-    gamma: float = option(0.99, "discount factor", FRACTION)
-    temperature: float = option(
-        1e-3, "alpha: temperature of the soft value and of the policy", POSITIVE
-    )
-    chi2_scale: float = option(0.5, "beta: rewards are between -4 beta and 4 beta", POSITIVE)
-    target_every: int = option(
-        0,
-        "optimiser steps between updates of the target network for V(s'); 0: no target network, "
-        "and gradients pass through V(s')",
-        NOT_NEGATIVE,
-    )
-    bootstrap: bool = option(True, "bootstrap the value at the time limit instead of using 0")
-    augment: str = augment_option("none")
-
-
-@dataclass(frozen=True, kw_only=True)
-class IQLearnConfig(InteractionConfig):
+class IQLearnConfig(DemonstrationConfig, InteractionConfig):
     """Settings of IQ-Learn; the defaults are the published code's for Pong."""
 
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
@@ -110,20 +95,36 @@ class IQLearnConfig(InteractionConfig):
     }
 
     algorithm: str = "iq-learn"
-    networks: NetworkSettings = field(default_factory=NetworkSettings)
-    demonstrations: DemonstrationSettings
-    iq: IQSettings = field(default_factory=IQSettings)
+    num_steps: PositiveInt = option(1, "T: steps of each environment per update")
+    buffer_size: PositiveInt = option(50_000, "frames in the replay buffer, about one per step")
+    gradient_steps: PositiveInt = option(32, "optimiser steps per update")
+    batch_size: PositiveInt = option(
+        128, "transitions per optimiser step, half of them from demonstrations"
+    )
+    learning_rate: PositiveFloat = option(1e-4, "Adam's initial learning rate")
+    anneal: bool = option(False, "anneal the learning rate linearly to 0")
+    gamma: Fraction = option(0.99, "discount factor")
+    temperature: PositiveFloat = option(
+        1e-3, "alpha: temperature of the soft value and of the policy"
+    )
+    chi2_scale: PositiveFloat = option(0.5, "beta: rewards are between -4 beta and 4 beta")
+    target_every: NonNegativeInt = option(
+        0,
+        "optimiser steps between updates of the target network for V(s'); 0: no target network, "
+        "and gradients pass through V(s')",
+    )
+    bootstrap: bool = option(True, "bootstrap the value at the time limit instead of using 0")
+    augment: str = augment_option("none")
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        iq = self.iq
-        self.require_halves("batch_size", iq.batch_size)
+        self.require_halves("batch_size", self.batch_size)
         # A step takes two frames if an episode ends; and there is a stack before them.
-        least = iq.num_envs * (self.observation_spec.frames + 2)
-        if iq.buffer_size < least:
+        least = self.num_envs * (self.observation_spec.frames + 2)
+        if self.buffer_size < least:
             raise InvalidConfigError(
-                f"buffer_size: expected at least {least} frames for {iq.num_envs} environments, "
-                f"found {iq.buffer_size}"
+                f"buffer_size: expected at least {least} frames for {self.num_envs} environments, "
+                f"found {self.buffer_size}"
             )
 
     @property
@@ -132,15 +133,15 @@ class IQLearnConfig(InteractionConfig):
 
         Those are forward passes only, a third of the cost, if there is a target network.
         """
-        transitions = self.num_updates * self.iq.gradient_steps * self.iq.batch_size
-        return transitions * 4 // 3 if self.iq.target_every else transitions * 2
+        transitions = self.num_updates * self.gradient_steps * self.batch_size
+        return transitions * 4 // 3 if self.target_every else transitions * 2
 
 
 def train(config: IQLearnConfig, run: Run) -> None:
     """Imitate demonstrations."""
     demonstrations = load_demonstrations(config, run)
     with IQTrainer(config, run, demonstrations) as iq:
-        for update in range(run.step, config.num_updates):
+        for update in iq.remaining_updates():
             iq.collect(update)
             metrics = iq.improve(update)
             if iq.finish_update(update, metrics):
@@ -153,7 +154,7 @@ def soft_value(q: Tensor, temperature: float) -> Tensor:
 
 
 def iq_loss(
-    q: Tensor, next_values: Tensor, batch: Transitions, settings: IQSettings
+    q: Tensor, next_values: Tensor, batch: Transitions, config: IQLearnConfig
 ) -> tuple[Tensor, dict[str, Tensor]]:
     """The negative objective, to be minimised, and the values to log.
 
@@ -161,15 +162,15 @@ def iq_loss(
         q: (2B, 18) for the observations; the first half is from the demonstrations.
         next_values: (2B,), V of the next observations.
         batch: the transitions.
-        settings: gamma, alpha, beta, and whether to bootstrap.
+        config: gamma, alpha, beta, and whether to bootstrap.
     """
-    temperature, half = settings.temperature, len(q) // 2
-    following = next_values if settings.bootstrap else next_values * ~batch.ends
-    future = settings.gamma * following
+    temperature, half = config.temperature, len(q) // 2
+    following = next_values if config.bootstrap else next_values * ~batch.ends
+    future = config.gamma * following
     values = soft_value(q, temperature)
     chosen = q.gather(1, batch.actions[:, None]).squeeze(1)  # Q(s, a)
     rewards = chosen - future
-    chi2 = rewards.square().mean() / (4.0 * settings.chi2_scale)
+    chi2 = rewards.square().mean() / (4.0 * config.chi2_scale)
     loss = -rewards[:half].mean() + (values - future).mean() + chi2
     log_policy = (q / temperature).log_softmax(dim=1)
     return loss, {
@@ -200,10 +201,9 @@ class QNetwork(PolicyNetwork):
 
 def make_policy(config: IQLearnConfig) -> QNetwork:
     """The soft Q function, without batch norm, initialised from the seed to be near 0."""
-    networks = config.networks
     with seeded_init(config.seed):
-        trunk = Trunk(networks.network, config.input_shape, pixel_range=networks.pixel_range)
-        network = QNetwork(trunk, len(config.tasks), config.iq.temperature)
+        trunk = Trunk(config.network, config.input_shape, pixel_range=config.pixel_range)
+        network = QNetwork(trunk, len(config.tasks), config.temperature)
         centre(network)
         return network
 
@@ -216,17 +216,26 @@ class IQTrainer(InteractionTrainer):
 
     def __init__(self, config: IQLearnConfig, run: Run, demonstrations: TaskTrajectories) -> None:
         """See `InteractionTrainer`."""
-        super().__init__(config, run, make_policy(config), config.iq.learning_rate)
+        super().__init__(config, run, make_policy(config), config.learning_rate)
         self.target = deepcopy(self.network).requires_grad_(False)
-        self.demonstrations = TransitionBuffer.of_demonstrations(
-            demonstrations, config.tasks, config.observation_spec, self.device
+        spec, num_tasks = config.observation_spec, len(config.tasks)
+        self.expert = ExpertData(
+            demonstrations, config.tasks, spec, device=self.device, transitions=True
         )
-        self.replay_buffer = self.demonstrations.emptied(config.iq.buffer_size)
-        self._augmentations = config.networks.augmentations(config.iq.augment)
+        self.replay_buffer = ReplayBuffer(spec, self.expert.frames, config.buffer_size, num_tasks)
+        self._augmentations = config.augmentations(config.augment)
+
+    def start(self) -> bool:
+        """See `InteractionTrainer`."""
+        restored = super().start()
+        self.run.keep(target=self.target, replay_buffer=self.replay_buffer)
+        if not restored:
+            self.replay_buffer.start(self.envs.observations())
+        return restored
 
     def collect(self, update: int) -> None:
         """Step all environments T times with actions sampled from the policy; fill the buffer."""
-        envs, num_steps = self.envs, self.config.iq.num_steps
+        envs, num_steps = self.envs, self.config.num_steps
         rng = stream(self.config.seed, Purpose.ACTIONS, update)
         uniforms = torch.from_numpy(rng.random((num_steps, len(envs.tasks)), "f4"))
         taken, scores = [], EpisodeScores()
@@ -244,56 +253,32 @@ class IQTrainer(InteractionTrainer):
 
     def improve(self, update: int) -> Metrics:
         """Take an update's optimiser steps; returns the means of the logged values."""
-        iq, averages = self.config.iq, Averages()
-        left = 1.0 - update / iq.num_updates if iq.anneal else 1.0
-        set_learning_rate(self.optimizer, iq.learning_rate * left)
-        rng = stream(self.config.seed, Purpose.MINIBATCHES, update)
+        config, averages = self.config, Averages()
+        if config.anneal:
+            anneal(self.optimizer, update, config.num_updates)
+        rng, every = stream(config.seed, Purpose.MINIBATCHES, update), config.target_every
         with self.monitor.timed("policy"):
-            for step in range(iq.gradient_steps):
-                if iq.target_every and (update * iq.gradient_steps + step) % iq.target_every == 0:
+            for step in range(config.gradient_steps):
+                if every and (update * config.gradient_steps + step) % every == 0:
                     self.target.load_state_dict(self.network.state_dict())
-                counts = split_evenly(iq.batch_size // 2, len(self.config.tasks), rng)
-                demonstrated = self.demonstrations.sample(counts, rng)
+                counts = split_evenly(config.batch_size // 2, len(config.tasks), rng)
+                demonstrated = expert_transitions(self.expert, counts, rng)
                 batch = demonstrated.join(self.replay_buffer.sample(counts, rng))
                 averages.add(1, **self._step(batch, rng))
         return {**averages.reset()}
 
     def _step(self, batch: Transitions, rng: np.random.Generator) -> dict[str, Tensor]:
         """Take one optimiser step on a batch; returns the values to log."""
-        iq = self.config.iq
-        network = self.target if iq.target_every else self.network
+        config = self.config
+        network = self.target if config.target_every else self.network
         observations = augment(batch.observations, self._augmentations, rng)
         following = augment(batch.next_observations, self._augmentations, rng)
         with self.compute.autocast():
             q = self.network.q(observations, batch.tasks)
             next_q = network.q(following, batch.tasks)
-        loss, parts = iq_loss(q, soft_value(next_q, iq.temperature), batch, iq)
-        self.optimizer.zero_grad()
-        torch.autograd.backward(loss)
-        self.optimizer.step()
+        loss, parts = iq_loss(q, soft_value(next_q, config.temperature), batch, config)
+        gradient_step(self.optimizer, loss)
         return parts
-
-    def state_dict(self) -> StateDict:
-        """See `InteractionTrainer`."""
-        return {
-            "policy": self.network.state_dict(),
-            "target": self.target.state_dict(),
-            "replay_buffer": self.replay_buffer.state_dict(),
-            **super().state_dict(),
-        }
-
-    def start_or_resume(self) -> None:
-        """See `InteractionTrainer`."""
-        saved = self.run.saved
-        if not saved:
-            self.envs.reset()
-            self.replay_buffer.start(self.envs.observations())
-            return
-        with restoring(self.run.folder):
-            self.network.load_state_dict(saved["policy"])
-            self.target.load_state_dict(saved["target"])
-            self.replay_buffer.load_state_dict(saved["replay_buffer"])
-            self.load_state_dict(saved)
 
 
 ALGORITHM = Algorithm(IQLearnConfig, train, make_policy)

@@ -10,36 +10,50 @@ One update:
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any, ClassVar, NamedTuple, Self
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from magical.envs.env import REWARDS, Reward
 from magical.errors import InvalidConfigError
 from magical.observe import STATE
-from magical.plugins import is_plugin
 from magical.runs.sources import SCORE
 from magical.tasks import Horizon, have_two_horizons, require_two_horizons
-from magical_baselines.algorithms import Algorithm
 from magical_baselines.augmentation.augment import to_unit
-from magical_baselines.config import IMAGE_OBSERVATIONS, PUBLISHED, NetworkSettings
+from magical_baselines.compute import ReplayedStep
+from magical_baselines.config import (
+    IMAGE_OBSERVATIONS,
+    Algorithm,
+    Fraction,
+    NonNegativeFloat,
+    PositiveFloat,
+    PositiveInt,
+    option,
+)
 from magical_baselines.models import ActorCritic, Trunk, centre, init_normal
-from magical_baselines.networks import GROUP as NETWORKS
-from magical_baselines.reinforcement.interaction import InteractionConfig, InteractionSettings
-from magical_baselines.reinforcement.monitoring import Metrics, explained_variance
-from magical_baselines.reinforcement.rollouts import Rollout, collect_rollout, shuffle_evenly
-from magical_baselines.reinforcement.trainer import InteractionTrainer
-from magical_baselines.running.averages import Averages
-from magical_baselines.running.checkpoints import StateDict, restoring
-from magical_baselines.running.optimizers import set_learning_rate
-from magical_baselines.running.replay import ReplayedStep
-from magical_baselines.running.run import Run
-from magical_baselines.running.streams import Purpose, seeded_init, stream
-from magical_baselines.settings import FRACTION, NOT_NEGATIVE, POSITIVE, option
+from magical_baselines.rollouts import (
+    InteractionConfig,
+    InteractionTrainer,
+    Metrics,
+    Rollout,
+    collect_rollout,
+    explained_variance,
+    shuffle_evenly,
+)
+from magical_baselines.training import (
+    Averages,
+    Purpose,
+    Run,
+    anneal,
+    gradient_step,
+    seeded_init,
+    stream,
+)
 
+OWN_NETWORKS = ("light", "narrow", "paper")  # whose steps do not wait for the device
 VF_COEF = 0.5
 ADVANTAGE_EPSILON = 1e-8
 
@@ -67,75 +81,64 @@ SPARSE: Mapping[str, Any] = {"minibatch_size": 128, "gamma": 0.95, "gae_lambda":
 
 # What `published-code` changes where rewards are learned (docs/specification.md, section 11).
 PUBLISHED_CODE: Mapping[str, Any] = {
-    "conventions": PUBLISHED,
+    "conventions": "published",
     "ent_coef": 2.5e-5,
     "reward_std": 0.01,
-    "horizon": PUBLISHED,
+    "horizon": "published",
 }
 
 
 @dataclass(frozen=True, kw_only=True)
-class PPOSettings(InteractionSettings):
-    """How a policy is improved by PPO; the defaults are Table 4's."""
+class ReinforcementConfig(InteractionConfig):
+    """Options of PPO and of all algorithms that contain PPO; the defaults are Table 4's."""
 
-    init: str = option(
-        "torch", "initialisation of policies that observe images", choices=("torch", "centred")
+    init: Literal["torch", "centred"] = option(
+        "torch", "initialisation of policies that observe images"
     )
-    horizon: str = option(
-        "appendix",
-        "horizon of all episodes; published: 240 steps for the Cluster tasks",
-        choices=("appendix", PUBLISHED),
+    horizon: Literal["appendix", "published"] = option(
+        "appendix", "horizon of all episodes; published: 240 steps for the Cluster tasks"
     )
-    epochs: int = option(12, "passes over the samples per update", POSITIVE)
-    minibatch_size: int = option(64, "samples per optimiser step", POSITIVE)
-    learning_rate: float = option(6e-5, "Adam's initial learning rate", POSITIVE)
-    clip_range: float = option(
-        0.01, "epsilon: initial clip range of the probability ratio", POSITIVE
-    )
+    epochs: PositiveInt = option(12, "passes over the samples per update")
+    minibatch_size: PositiveInt = option(64, "samples per optimiser step")
+    learning_rate: PositiveFloat = option(6e-5, "Adam's initial learning rate")
+    clip_range: PositiveFloat = option(0.01, "epsilon: initial clip range of probability ratios")
     anneal: bool = option(True, "anneal learning rate and clip range linearly to 0")
-    gamma: float = option(0.8, "discount factor", FRACTION)
-    gae_lambda: float = option(0.8, "lambda of generalised advantage estimation", FRACTION)
-    ent_coef: float = option(1e-5, "weight of the policy's entropy", NOT_NEGATIVE)
-    max_grad_norm: float = option(1.0, "gradients are clipped to this L2 norm", POSITIVE)
+    gamma: Fraction = option(0.8, "discount factor")
+    gae_lambda: Fraction = option(0.8, "lambda of generalised advantage estimation")
+    ent_coef: NonNegativeFloat = option(1e-5, "weight of the policy's entropy")
+    max_grad_norm: PositiveFloat = option(1.0, "gradients are clipped to this L2 norm")
     normalise_advantages: bool = option(
         False, "in each update, normalise advantages to mean 0 and standard deviation 1"
     )
     bootstrap: bool = option(False, "bootstrap the value at the time limit instead of using 0")
 
-    @property
-    def env_horizon(self) -> Horizon:
-        """See `InteractionSettings`."""
-        return "published" if self.horizon == PUBLISHED else None
-
-
-@dataclass(frozen=True, kw_only=True)
-class ReinforcementConfig(InteractionConfig):
-    """Base of the configurations of PPO and of all algorithms that contain PPO."""
-
-    networks: NetworkSettings = field(default_factory=NetworkSettings)
-    ppo: PPOSettings = field(default_factory=PPOSettings)
-
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.ppo.horizon == PUBLISHED:
+        if self.horizon == "published":
             require_two_horizons(self.tasks)
-        if self.ppo.normalise_advantages and self.ppo.steps_per_update < 2:
+        if self.normalise_advantages and self.steps_per_update < 2:
             raise InvalidConfigError(
                 "normalise_advantages: expected at least 2 environment steps per update, found 1"
             )
 
+    @property
+    def env_horizon(self) -> Horizon:
+        """See `InteractionConfig`."""
+        return "published" if self.horizon == "published" else None
+
     @classmethod
     def preset(cls, name: str, /, **settings: Any) -> Self:
         """As `Config.preset`, but without a preset's `published` horizon if no task has one."""
-        if "horizon" in settings or cls.presets.get(name, {}).get("horizon") != PUBLISHED:
+        if "horizon" in settings or cls.presets.get(name, {}).get("horizon") != "published":
             return super().preset(name, **settings)
         config = super().preset(name, **settings, horizon="appendix")
-        return config.replace(horizon=PUBLISHED) if have_two_horizons(config.tasks) else config
+        two = have_two_horizons(config.tasks)
+        return config.replace(horizon="published") if two else config
 
     @property
     def training_samples(self) -> int:
         """Every environment step, once per epoch."""
-        return self.environment_steps * self.ppo.epochs
+        return self.environment_steps * self.epochs
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -167,7 +170,7 @@ class PPOConfig(ReinforcementConfig):
     }
 
     algorithm: str = "ppo"
-    reward: str = option("score", "the environment's reward", choices=("score",), others=REWARDS)
+    reward: str = option("score", "the environment's reward", plugins=REWARDS, known=("score",))
 
     @property
     def learned_from(self) -> tuple[str, ...]:
@@ -187,13 +190,12 @@ def train(config: PPOConfig, run: Run) -> None:
 
 def make_policy(config: ReinforcementConfig) -> ActorCritic:
     """The actor-critic of PPO-based algorithms, without batch norm, initialised from the seed."""
-    networks = config.networks
     with seeded_init(config.seed):
-        trunk = Trunk(networks.network, config.input_shape, pixel_range=networks.pixel_range)
+        trunk = Trunk(config.network, config.input_shape, pixel_range=config.pixel_range)
         network = ActorCritic(trunk, len(config.tasks))
-        if config.ppo.init == "centred" and trunk.convolutions is not None:
+        if config.init == "centred" and trunk.convolutions is not None:
             centre(network)
-        if networks.published:
+        if config.published:
             init_normal(network.policy, network.value)
         return network
 
@@ -206,14 +208,10 @@ class PPOTrainer(InteractionTrainer):
 
     def __init__(self, config: ReinforcementConfig, run: Run, reward: Reward = "none") -> None:
         """See `InteractionTrainer`."""
-        super().__init__(config, run, make_policy(config), config.ppo.learning_rate, reward)
+        super().__init__(config, run, make_policy(config), config.learning_rate, reward)
         # A plug-in's network may wait for the device, which cannot be recorded.
-        own = not is_plugin(NETWORKS, config.networks.network)
+        own = config.network in OWN_NETWORKS
         self._replayed = ReplayedStep(self.optimizer, own and self.device == "cuda")
-
-    def remaining_updates(self) -> range:
-        """The numbers of the remaining updates."""
-        return range(max(self.run.step - self.previous_steps, 0), self.config.ppo.num_updates)
 
     def forward(
         self, observations: Tensor, tasks: Tensor, in_range: bool = False
@@ -225,31 +223,32 @@ class PPOTrainer(InteractionTrainer):
 
     def collect_rollout(self, update: int) -> Rollout:
         """Step all environments T times with actions sampled from the current policy."""
-        ppo, rng = self.config.ppo, stream(self.config.seed, Purpose.ACTIONS, update)
+        config, rng = self.config, stream(self.config.seed, Purpose.ACTIONS, update)
         with self.monitor.timed("sample"):
-            rollout = collect_rollout(self.envs, self.forward, ppo.num_steps, ppo.bootstrap, rng)
+            rollout = collect_rollout(
+                self.envs, self.forward, config.num_steps, config.bootstrap, rng
+            )
         self.monitor.add_rollout(rollout.actions, rollout.scores)
         return rollout
 
     def improve_policy(self, update: int, rollout: Rollout, rewards: Tensor) -> Metrics:
         """Train on a rollout with rewards (T, N) for `epochs` passes of minibatch steps."""
-        config, ppo = self.config, self.config.ppo
-        averages = Averages()
+        config, averages = self.config, Averages()
         with self.monitor.timed("policy"):
             samples = make_samples(
-                rollout, rewards, ppo.gamma, ppo.gae_lambda, ppo.normalise_advantages
+                rollout, rewards, config.gamma, config.gae_lambda, config.normalise_advantages
             )
             # Scaled and converted once instead of in every epoch.
             observations = self.compute.cast(self.network.trunk.to_range(samples.observations))
             samples = samples._replace(observations=observations)
-            left = 1.0 - update / ppo.num_updates if ppo.anneal else 1.0
-            set_learning_rate(self.optimizer, ppo.learning_rate * left)
-            clip_range = torch.tensor(ppo.clip_range * left, device=self.device)
+            updates = config.policy_updates
+            left = anneal(self.optimizer, update, updates) if config.anneal else 1.0
+            clip_range = torch.tensor(config.clip_range * left, device=self.device)
             rng = stream(config.seed, Purpose.MINIBATCHES, update)
-            tasks = np.tile(self.envs.task_of, ppo.num_steps)  # (T * N,)
-            for _ in range(ppo.epochs):
+            tasks = np.tile(self.envs.task_of, config.num_steps)  # (T * N,)
+            for _ in range(config.epochs):
                 order = torch.from_numpy(shuffle_evenly(tasks, rng)).to(self.device)
-                for rows in torch.split(order, ppo.minibatch_size):
+                for rows in torch.split(order, config.minibatch_size):
                     minibatch = samples.select(rows)
                     averages.add(len(rows), **self._replayed(self._step, clip_range, *minibatch))
         return {
@@ -263,26 +262,9 @@ class PPOTrainer(InteractionTrainer):
         """Take one optimiser step on a minibatch of `Samples`; returns the parts of the loss."""
         minibatch = Samples(*samples)
         logits, values = self.forward(minibatch.observations, minibatch.tasks, in_range=True)
-        loss, parts = ppo_loss(logits, values, minibatch, clip_range, self.config.ppo.ent_coef)
-        self.optimizer.zero_grad()
-        torch.autograd.backward(loss)
-        nn.utils.clip_grad_norm_(self.network.parameters(), self.config.ppo.max_grad_norm)
-        self.optimizer.step()
+        loss, parts = ppo_loss(logits, values, minibatch, clip_range, self.config.ent_coef)
+        gradient_step(self.optimizer, loss, self.config.max_grad_norm)
         return parts
-
-    def state_dict(self) -> StateDict:
-        """See `InteractionTrainer`."""
-        return {"policy": self.network.state_dict(), "ppo": super().state_dict()}
-
-    def start_or_resume(self) -> None:
-        """See `InteractionTrainer`."""
-        saved = self.run.saved or {}
-        if "ppo" not in saved:
-            self.envs.reset()
-            return
-        with restoring(self.run.folder):
-            self.network.load_state_dict(saved["policy"])
-            self.load_state_dict(saved["ppo"])
 
 
 class Samples(NamedTuple):

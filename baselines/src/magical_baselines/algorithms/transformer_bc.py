@@ -14,8 +14,7 @@ them from the frames.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import partial
+from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -26,20 +25,17 @@ from torch.nn import functional
 
 from magical.evaluation.policy import Actions, Mask
 from magical.scene import NOOP, NUM_ACTIONS
-from magical_baselines.algorithms import Algorithm
-from magical_baselines.data.expert_data import ExpertData
-from magical_baselines.models import TaskLinear, Trunk
-from magical_baselines.policy import TrainedPolicy, choose_actions
-from magical_baselines.running.run import Run
-from magical_baselines.running.streams import Purpose, seeded_init, stream
-from magical_baselines.sequences.fitting import (
+from magical_baselines.algorithms.chunks import (
     QUICK,
-    FittingSettings,
+    ExpertData,
     SequenceConfig,
-    fit,
+    fit_sequences,
     masked_mean,
 )
-from magical_baselines.settings import POSITIVE, option
+from magical_baselines.config import Algorithm, PositiveInt, option
+from magical_baselines.models import TaskLinear, Trunk
+from magical_baselines.policy import TrainedPolicy, choose_actions
+from magical_baselines.training import Run, seeded_init
 
 WIDTH, HEADS, LAYERS, DROPOUT = 128, 4, 2, 0.1  # of the transformer
 INIT_STD = 0.02  # of learnt positions
@@ -55,8 +51,8 @@ class TransformerBCConfig(SequenceConfig):
     }
 
     algorithm: str = "transformer-bc"
-    fitting: FittingSettings = field(default_factory=partial(FittingSettings, batch_size=8))
-    window: int = option(16, "steps in the input, the current one included", POSITIVE)
+    batch_size: PositiveInt = option(8, "windows per batch")
+    window: PositiveInt = option(16, "steps in the input, the current one included")
     past_actions: bool = option(True, "include past actions in the input")
 
     @property
@@ -84,7 +80,7 @@ class MemoryNetwork(nn.Module):
 
     def __init__(self, config: TransformerBCConfig) -> None:
         super().__init__()
-        self.trunk = Trunk(config.networks.network, config.input_shape, batch_norm=True)
+        self.trunk = Trunk(config.network, config.input_shape, batch_norm=True)
         self.projection = nn.Linear(self.trunk.num_features, WIDTH)
         self.before = nn.Embedding(NUM_ACTIONS, WIDTH) if config.past_actions else None
         self.positions = nn.Parameter(torch.randn(config.window, WIDTH) * INIT_STD)
@@ -150,12 +146,14 @@ class MemoryPolicy(TrainedPolicy):
         return self._last
 
 
-def sample_windows(config: TransformerBCConfig, data: ExpertData, number: int) -> Windows:
-    """Batch `number`: windows that end at sampled steps, each with a single augmentation."""
-    rng = stream(config.seed, Purpose.BATCHES, number)
-    ends = data.sample(config.fitting.batch_size, rng)
+def sample_windows(
+    config: TransformerBCConfig, data: ExpertData, rng: np.random.Generator
+) -> Windows:
+    """Sample windows that end at sampled steps, each with a single augmentation."""
+    ends = data.sample(config.batch_size, rng)
     rows, exist = data.neighbours(ends, np.arange(1 - config.window, 1))
-    images = data.augmented(rows.ravel(), config.fitting.augmentations, rng, together=config.window)
+    names = config.augmentations(config.augment)
+    images = data.augmented(rows.ravel(), names, rng, together=config.window)
     actions, tasks = data.labels(rows)
     previous, has_previous = data.neighbours(rows.ravel(), np.array([-1]))
     before = data.executed[torch.from_numpy(previous[:, 0]).to(data.device)]
@@ -181,7 +179,7 @@ def memory_losses(network: MemoryNetwork, batch: Windows) -> dict[str, Tensor]:
 
 def train(config: TransformerBCConfig, run: Run) -> None:
     """Learn from the demonstrations."""
-    fit(config, run, make_policy(config), sample_windows, memory_losses)
+    fit_sequences(config, run, make_policy(config), sample_windows, memory_losses)
 
 
 def make_policy(config: TransformerBCConfig) -> MemoryNetwork:

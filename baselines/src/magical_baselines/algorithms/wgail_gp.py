@@ -16,7 +16,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from magical_baselines.algorithms import Algorithm
 from magical_baselines.algorithms.gail import (
     AdversarialConfig,
     DiscriminatorBatch,
@@ -24,9 +23,9 @@ from magical_baselines.algorithms.gail import (
     train_adversarially,
 )
 from magical_baselines.algorithms.ppo import make_policy
+from magical_baselines.config import Algorithm, PositiveFloat, option
 from magical_baselines.models import Discriminator
-from magical_baselines.running.run import Run
-from magical_baselines.settings import POSITIVE, option
+from magical_baselines.training import Run
 
 Critic = Callable[[Tensor, Tensor, Tensor], Tensor]  # images, actions, tasks -> logits (B,)
 
@@ -44,7 +43,7 @@ class WGAILGPConfig(AdversarialConfig):
     }
 
     algorithm: str = "wgail-gp"
-    penalty_weight: float = option(100.0, "lambda: weight of the gradient penalty", POSITIVE)
+    penalty_weight: PositiveFloat = option(100.0, "lambda: weight of the gradient penalty")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -61,7 +60,7 @@ def train(config: WGAILGPConfig, run: Run) -> None:
     loss = partial(
         critic_loss,
         penalty_weight=config.penalty_weight,
-        penalty_batch_norm=config.networks.published,
+        penalty_batch_norm=config.published,
     )
     train_adversarially(config, run, loss, critic_reward)
 

@@ -4,7 +4,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from magical.errors import UnknownNameError
-from magical_baselines.settings import option
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,9 +45,3 @@ def parse_augmentations(text: str) -> Augmentations:
         )
     switches: dict[str, Any] = dict.fromkeys(chosen, True)
     return replace(SETS["none"], **switches)
-
-
-def augment_option(default: str, images: str = "images") -> Any:
-    """A configuration field for the names of the augmentations applied to some images."""
-    text = f"augmentations of {images}: all, none, no-trans-rot, or names joined by +"
-    return option(default, text, parse=parse_augmentations, metavar="NAMES")

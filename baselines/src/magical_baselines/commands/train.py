@@ -5,28 +5,35 @@ metrics, a checkpoint.
 """
 
 import argparse
+import io
 import shlex
-from collections.abc import Mapping
-from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from contextlib import redirect_stderr, suppress
+from dataclasses import MISSING
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypedDict, get_args, get_origin
 
-from magical.commands._common import (
-    INTERRUPTED,
-    UsageError,
-    add_count,
-    add_json,
-    add_out,
-    add_several,
-    log,
-    print_json,
-    task_name,
-)
-from magical.errors import PluginError
+from magical.commands._common import INTERRUPTED, UsageError, log, print_json, task_name
 
 if TYPE_CHECKING:
-    from magical_baselines.config import Config, Option
+    from magical_baselines.config import Config
 
 HELP = "train a policy"
+
+METAVARS = {int: "N", float: "X", str: "NAME"}
+# Options of the command itself: their types, placeholders, meanings.
+OWN: Mapping[str, tuple[Any, str, str]] = {
+    "out": (Path, "RUN", "run folder, new or empty unless with --resume (required)"),
+    "resume": (
+        bool,
+        "",
+        "resume the run in the folder; its configuration need not be given again",
+    ),
+    "preset": (str, "", "preset for all options that are not given (default: paper)"),
+    "stop_after": (int, "N", "save a checkpoint and stop after N more batches or updates"),
+    "track": (tuple[str, ...], "", "also log the metrics to these trackers"),
+    "json": (bool, "", "print a JSON object as the last line of standard output"),
+}
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -41,8 +48,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "options",
         nargs=argparse.REMAINDER,
-        action=_ParseOptions,
-        default=argparse.SUPPRESS,
         metavar="...",
         help="the algorithm's options: see magical train ALGORITHM --help",
     )
@@ -52,37 +57,160 @@ def run(args: argparse.Namespace) -> int:
     """Train, or resume."""
     from magical.errors import InvalidConfigError
     from magical.report.figures.curves import save_learning_curves
-    from magical_baselines import train
+    from magical_baselines import find_algorithm, train
+
+    kind = find_algorithm(args.algorithm).config
+    given = parse(kind, args.algorithm, args.options)
+    own = argparse.Namespace(**{name: given.pop(name, None) for name in OWN})
+    if own.out is None:
+        raise UsageError(f"magical train {args.algorithm}: expected --out, found none")
 
     def plot_at_evaluations(step: int, metrics: Mapping[str, float | str]) -> None:
         if "evaluation_score" in metrics:
-            save_learning_curves(args.out)
+            save_learning_curves(own.out)
 
+    track = own.track or ()
     try:
-        config = _config(args)
+        config = _config(kind, args.algorithm, own, given)
+        result = train(
+            config,
+            own.out,
+            resume=bool(own.resume),
+            stop_after=own.stop_after,
+            progress=True,
+            callback=plot_at_evaluations,
+            track=track,
+        )
     except InvalidConfigError as error:  # wrong arguments, not a failure
         raise UsageError(str(error)) from error
-    result = train(
-        config,
-        args.out,
-        resume=args.resume,
-        stop_after=args.stop_after,
-        progress=True,
-        callback=plot_at_evaluations,
-        track=args.track,
-    )
-    save_learning_curves(args.out)
-    print_json(args, result.summary())
+    save_learning_curves(own.out)
+    print_json(own, result.summary())
     folder, imports = shlex.quote(str(result.folder)), _imports(config)
     if result.finished:
         log(f"{result.folder}: finished; to evaluate: magical evaluate {folder}{imports}")
         return 0
-    tracks = f" --track {shlex.join(args.track)}" if args.track else ""
-    demos = getattr(args, _dest("demos"), None)  # moved since the run began, where it is resumed
-    moved = f" --demos {shlex.quote(str(demos))}" if args.resume and demos else ""
+    tracks = f" --track {shlex.join(track)}" if track else ""
+    demos = given.get("demos") if own.resume else None  # moved since the run began
+    moved = f" --demos {shlex.quote(demos)}" if demos else ""
     again = f"magical train {args.algorithm} --out {folder} --resume{moved}{tracks}{imports}"
     log(f"{result.folder}: stopped at step {result.step}; to continue: {again}")
     return INTERRUPTED if result.interrupted else 0
+
+
+def parse(kind: type["Config"], algorithm: str, words: Sequence[str]) -> dict[str, Any]:
+    """The options among words of the command line: those that are given, by name.
+
+    Raises:
+        PluginError: an option of the configuration has the name of one of the command.
+        UsageError: an unknown option, or a value of another type or not among the choices.
+        SystemExit: after printing the help that was asked for.
+    """
+    import tyro
+
+    from magical.errors import PluginError
+    from magical_baselines.config import options, type_hints
+
+    fields = {name: _own_option(kind, *parts, name=name) for name, parts in OWN.items()}
+    for field in options(kind):
+        if field.name in fields:
+            raise PluginError(
+                f"{kind.__name__}.{field.name}: `magical train` has an option of this name; give "
+                "it another"
+            )
+        fields[field.name] = _option(kind, field, type_hints(kind)[field.name])
+    make_type: Any = TypedDict  # from a dict, which type checkers do not follow
+    table: Any = make_type("Options", fields, total=False)  # what is not given is left out
+    printed = io.StringIO()
+    try:
+        with redirect_stderr(printed):
+            given: dict[str, Any] = tyro.cli(
+                table,
+                args=words,
+                prog=f"magical train {algorithm}",
+                description=(kind.__doc__ or "").splitlines()[0],
+            )
+    except SystemExit as stop:
+        if stop.code == 0:
+            raise
+        raise UsageError(
+            f"{_in_one_line(printed.getvalue())}; see magical train {algorithm} --help"
+        ) from stop
+    if "tasks" in given:
+        given["tasks"] = tuple(map(task_name, given["tasks"]))
+    return given
+
+
+def _own_option(kind: type["Config"], hint: Any, metavar: str, text: str, *, name: str) -> Any:
+    from magical_baselines.run import TRACKERS
+
+    if name == "track":
+        hint = tuple[Literal[TRACKERS], ...]  # type: ignore[valid-type]
+    if name == "preset":
+        hint = Literal[tuple(kind.presets)]
+    return _argument(name, hint, metavar, text)
+
+
+def _option(kind: type["Config"], field: Any, hint: Any) -> Any:
+    """A field of a configuration as tyro's argument."""
+    text, metavar, group = (field.metadata[key] for key in ("help", "metavar", "plugins"))
+    if group:
+        from magical.plugins import plugins
+
+        known = kind.observations if field.name == "observation" else sorted(plugins(group))
+        metavar, text = f"{{{','.join(known)}}}", f"{text}; or module:NAME"
+    if field.default not in (MISSING, None, "", ()):
+        default = field.default
+        shown = " ".join(default) if isinstance(default, tuple) else default
+        text = f"{text} (paper: {shown})"
+    return _argument(field.name, hint, metavar, text)
+
+
+def _argument(name: str, hint: Any, metavar: str, text: str) -> Any:
+    import tyro
+
+    plain = get_args(hint)[0] if get_origin(hint) is Annotated else hint
+    if not metavar and get_origin(plain) is not tuple:
+        first = next(iter(get_args(plain)), plain)  # of `int | None`
+        metavar = METAVARS.get(get_args(first)[0] if get_origin(first) is Annotated else first, "")
+    flag = "task" if name == "tasks" else name
+    return Annotated[
+        hint,
+        tyro.conf.arg(
+            name=flag,
+            aliases=("--tasks",) if name == "tasks" else None,
+            help=text,
+            metavar=metavar or None,
+            help_behavior_hint="",
+        ),
+    ]
+
+
+def _in_one_line(box: str) -> str:
+    """The message of an error of tyro, without its frame, its title and its hints."""
+    lines = [line.strip("│ ") for line in box.splitlines() if line.startswith("│")]
+    rule = next((k for k, line in enumerate(lines) if line.startswith("─")), len(lines))
+    return " ".join(lines[:rule])
+
+
+def _config(
+    kind: type["Config"], algorithm: str, own: argparse.Namespace, given: Mapping[str, Any]
+) -> "Config":
+    """The preset's or the resumed run's configuration, with the given options replaced."""
+    from magical_baselines import read_config
+    from magical_baselines.config import options
+
+    if own.resume and own.preset is None:
+        recorded = read_config(own.out, given)
+        if recorded.algorithm != algorithm:
+            raise UsageError(
+                f"{own.out}: expected a run of {algorithm}, found one of {recorded.algorithm}"
+            )
+        return recorded.replace(**given)
+    missing = [o.name for o in options(kind) if o.default is MISSING and o.name not in given]
+    if missing:
+        flags = ", ".join("--task" if name == "tasks" else f"--{name}" for name in missing)
+        raise UsageError(f"magical train {algorithm}: expected {flags}, found none")
+    return kind.preset(own.preset or "paper", algorithm=algorithm, **given)
 
 
 def _imports(config: "Config") -> str:
@@ -90,120 +218,9 @@ def _imports(config: "Config") -> str:
     from magical.errors import InvalidTaskError
     from magical.tasks import get_task
     from magical.tasks.registry import defining_modules
-    from magical_baselines.algorithms import modules_of
+    from magical_baselines.config import modules_of
 
     modules = dict.fromkeys(modules_of(config))
     with suppress(InvalidTaskError):  # no module can be named, but the run has been trained
         modules |= dict.fromkeys(defining_modules([get_task(name) for name in config.tasks]))
     return "".join(f" --import {shlex.quote(module)}" for module in modules)
-
-
-class _ParseOptions(argparse.Action):
-    """Parses what follows the algorithm's name as the options of its configuration."""
-
-    def __call__(
-        self,
-        parser: argparse.ArgumentParser,
-        namespace: argparse.Namespace,
-        values: Any,
-        option_string: str | None = None,
-    ) -> None:
-        """See `argparse.Action`."""
-        options = type(parser)(
-            prog=f"{parser.prog} {namespace.algorithm}",
-            argument_default=argparse.SUPPRESS,  # the preset's value is used
-        )
-        _add_options(options, namespace.algorithm)
-        options.parse_args(values, namespace)
-
-
-def _add_options(parser: argparse.ArgumentParser, algorithm: str) -> None:
-    from magical_baselines import find_algorithm
-    from magical_baselines.config import options
-    from magical_baselines.trackers import TRACKERS
-
-    kind = find_algorithm(algorithm).config
-    parser.description = (kind.__doc__ or "").splitlines()[0]
-    add_out(parser, "run folder, new or empty unless with --resume", "RUN", required=True)
-    parser.add_argument(
-        "--resume",
-        action="store_true",
-        default=False,
-        help="resume the run in the folder; its configuration need not be given again",
-    )
-    parser.add_argument(
-        "--preset",
-        choices=tuple(kind.presets),
-        default=None,
-        help="preset for all options that are not given (default: paper)",
-    )
-    add_count(parser, "--stop-after", "save a checkpoint and stop after N more batches or updates")
-    meaning = "also log the metrics to these trackers"
-    shown = f"{{{','.join(TRACKERS)}}}"
-    add_several(parser, "--track", meaning, shown, choices=TRACKERS, default=[])
-    add_json(parser)
-    parser.set_defaults(json=False)
-    for option in options(kind):
-        try:
-            _add_option(parser, option)
-        except argparse.ArgumentError as error:  # of another distribution's configuration
-            raise PluginError(
-                f"{kind.__name__}, {option.name}: `magical train` has an option {option.flag} of "
-                "its own; give option() another name"
-            ) from error
-
-
-def _add_option(parser: argparse.ArgumentParser, option: "Option") -> None:
-    """Add the option of a configuration field."""
-    stated = not option.required and option.default not in (None, "", ())
-    text = f"{option.help} (paper: {_shown(option.default)})" if stated else option.help
-    flags = ["--task", "--tasks"] if option.name == "tasks" else [option.flag]
-    if option.kind is bool:
-        parser.add_argument(
-            *flags, action=argparse.BooleanOptionalAction, dest=_dest(option.name), help=text
-        )
-        return
-    parser.add_argument(
-        *flags,
-        action="extend" if option.several else "store",
-        dest=_dest(option.name),
-        type=task_name if option.name == "tasks" else option.kind,
-        nargs="+" if option.several else None,
-        choices=None if option.open else option.choices or None,
-        metavar=f"{{{','.join(option.choices)}}}" if option.open else option.metavar,
-        help=f"{text}; or module:NAME" if option.open else text,
-    )
-
-
-def _dest(name: str) -> str:
-    """An option's name among the parsed arguments, distinct from those of the command itself."""
-    return f"setting {name}"
-
-
-def _shown(value: object) -> object:
-    return " ".join(map(str, value)) if isinstance(value, tuple) else value
-
-
-def _config(args: argparse.Namespace) -> "Config":
-    """The preset's or the resumed run's configuration, with the given options replaced."""
-    from magical_baselines import find_algorithm, read_config
-    from magical_baselines.config import options
-
-    kind = find_algorithm(args.algorithm).config
-    fields = options(kind)
-    given = {
-        option.name: tuple(value) if option.several else value
-        for option in fields
-        if (value := getattr(args, _dest(option.name), None)) is not None
-    }
-    if args.resume and args.preset is None:
-        recorded = read_config(args.out, given)
-        if recorded.algorithm != args.algorithm:
-            raise UsageError(
-                f"{args.out}: expected a run of {args.algorithm}, found one of {recorded.algorithm}"
-            )
-        return recorded.replace(**given)
-    if missing := [o for o in fields if o.required and o.name not in given]:
-        flags = ", ".join("--task" if o.name == "tasks" else o.flag for o in missing)
-        raise UsageError(f"magical train {args.algorithm}: expected {flags}, found none")
-    return kind.preset(args.preset or "paper", algorithm=args.algorithm, **given)

@@ -10,7 +10,7 @@ from magical.demos.dataset import Dataset, DatasetWriter, Entry
 from magical.demos.generate import generate
 from magical.envs.ids import EnvId
 from magical.errors import DemonstrationsError
-from magical_baselines.config import DemonstrationSettings
+from magical_baselines.config import DemonstrationConfig
 from magical_baselines.experiments.plan import PlannedRun
 from magical_baselines.experiments.status import DEMOS
 
@@ -32,7 +32,7 @@ def prepare_demonstrations(
     """
     counts: dict[str, int] = {}
     for run in runs:
-        if wanted := run.config.part(DemonstrationSettings):
+        if isinstance(wanted := run.config, DemonstrationConfig):
             counts |= {task: max(wanted.num_demos, counts.get(task, 0)) for task in run.tasks}
             source, given = run.source, Path(wanted.demos).absolute()  # all have the plan's
     if not counts:

@@ -24,13 +24,13 @@ from magical.messages import for_terminal
 from magical.processes import available_cores
 from magical.runs.folder import CONFIG, differences, is_run, read_json, write_json
 from magical.runs.plan import PLAN, REFERENCES, RUNS
+from magical_baselines.compute import visible_gpus
 from magical_baselines.experiments import one_run
 from magical_baselines.experiments.demonstrations import prepare_demonstrations
 from magical_baselines.experiments.one_run import NO_SPACE, Planned, modules_needed, write_failure
 from magical_baselines.experiments.plan import PlannedReference, PlannedRun
 from magical_baselines.experiments.status import DEMOS, DONE, FAILED, LOCK, read_result
-from magical_baselines.running.devices import visible_gpus
-from magical_baselines.running.interrupts import Interrupts
+from magical_baselines.training import Interrupts
 
 if TYPE_CHECKING:
     from magical_baselines.experiments.cluster import RayTasks

@@ -26,8 +26,7 @@ from magical.runs.machine import provenance, source_commit
 from magical.runs.plan import RESULT
 from magical.tasks import load_tasks
 from magical_baselines import is_run, load_policy, train
-from magical_baselines.algorithms import modules_of
-from magical_baselines.config import DemonstrationSettings
+from magical_baselines.config import DemonstrationConfig, modules_of
 from magical_baselines.experiments.plan import PlannedReference, PlannedRun
 from magical_baselines.experiments.status import DONE, FAILED, lock_of
 
@@ -61,7 +60,7 @@ def finish(work: Planned, folder: Path, demos: Path | None = None) -> None:
         (folder / RESULT).unlink(missing_ok=True)
         try:
             config, start = work.config, time.perf_counter()
-            if demos and config.part(DemonstrationSettings):
+            if demos and isinstance(config, DemonstrationConfig):
                 config = config.replace(demos=str(demos))
             if train(config, folder, resume=is_run(folder)).interrupted:
                 return
@@ -102,7 +101,7 @@ def evaluate_run(run: PlannedRun, folder: Path, out: Path, evaluation: Evaluatio
 
     `evaluation` may differ from the run's own.
     """
-    from magical_baselines.running.devices import cpu_threads
+    from magical_baselines.compute import cpu_threads
 
     policy = load_policy(folder, device=run.config.device)
     with cpu_threads(run.config.threads):

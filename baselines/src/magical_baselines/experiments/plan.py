@@ -27,8 +27,7 @@ from magical.tasks import TASKS, load_task, parse_horizon
 from magical.tasks.axes import full_variant
 from magical.untrusted import read_toml
 from magical_baselines import Config, find_algorithm
-from magical_baselines.algorithms import references
-from magical_baselines.config import DemonstrationSettings, options
+from magical_baselines.config import DemonstrationConfig, options, references
 
 PLANS = Path(str(files("magical_baselines"))) / "plans"  # those of this package
 EXPERT = "expert"  # as `demos`: demonstrations of the scripted experts, generated for the plan
@@ -302,8 +301,9 @@ def _planned_run(plan: Plan, method: Method, tasks: tuple[str, ...]) -> PlannedR
     config = kind.preset(preset, **given)
     if config.threads < 1:
         raise PlanError(f"threads: expected at least 1, found {config.threads}")
-    wanted = config.part(DemonstrationSettings)
-    source = _source(plan, tasks, wanted.num_demos) if wanted else DemonstrationSource()
+    source = DemonstrationSource()
+    if isinstance(config, DemonstrationConfig):
+        source = _source(plan, tasks, config.num_demos)
     evaluation = _evaluation(plan, tasks)
     return PlannedRun(method.name, preset, config, source, evaluation, plan.variants)
 

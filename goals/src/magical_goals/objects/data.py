@@ -20,7 +20,7 @@ from magical.demos.reader import TrajectorySource
 from magical.demos.trajectory import Trajectory
 from magical.errors import DemonstrationsError
 from magical.observe import PRESETS
-from magical_baselines.data.expert_data import Rows, TaskTrajectories
+from magical_baselines.data import Rows, TaskTrajectories
 from magical_goals.objects.control import GRIP, ROBOT_TARGET, to_table, to_tensor
 from magical_goals.objects.goals import relate_blocks
 from magical_goals.objects.parser import (

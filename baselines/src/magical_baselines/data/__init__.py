@@ -1,1 +1,0 @@
-"""Training data: demonstrations and labelled episodes as samples, and batches of them."""

@@ -1,1 +1,0 @@
-"""Runs: starting, stopping and resuming them, their checkpoints, devices and random numbers."""

@@ -1,1 +1,0 @@
-"""Shared parts of the learners of action sequences: fitting, and chunks of actions."""
