@@ -18,8 +18,7 @@ checkpoint, into `leaderboard` in its run folder, unless that was done before. -
 details of newly collected entries how often test variants had been evaluated before, --dataset
 whose demonstrations a dataset of the plan holds (`human`).
 
-Runs made with a different version of the package than those collected before are refused (exit
-status 1).
+Runs made with a different version of the package than those collected before are left out.
 """
 
 import argparse
@@ -40,18 +39,11 @@ from magical.evaluation.protocol import NUDGE, Evaluation, environments
 from magical.plugins import import_user_module
 from magical.report.found.statements import LOOKS
 from magical.runs.folder import read_json, write_json
-from magical.runs.plan import PLAN, RESULT, RUNS
+from magical.runs.plan import PLAN, RUNS
 from magical.runs.sources import DEMONSTRATIONS
 from magical_baselines.experiments.one_run import evaluate_run
 from magical_baselines.experiments.plan import DATASET, PlannedRun, planned_runs, read_plan
-from magical_baselines.experiments.results import (
-    DONE,
-    EXPERIMENT,
-    is_results,
-    read_experiment,
-    read_state,
-    run_folders,
-)
+from magical_baselines.experiments.status import DONE, read_result
 from studies.plan_results import LEADERBOARD
 
 COLLECTED = "collected"  # key in `plan.json`: what is known about the runs
@@ -59,6 +51,7 @@ VARIED = ("tasks", "seed")  # settings in which runs of a method differ
 # Options that are no more, with the value that makes a run what today's are.
 LEFT: dict[str, Any] = {"init_from": "", "augment_by": "resampling", "transform": "none"}
 LEFT |= {"augment_scale": 1.0, "average_decay": 0.0}
+LEFT |= {"autoencoder": "appendix", "weight_metric": "euclidean"}
 DIGITS = 10  # hexadecimal digits of a digest of settings
 
 
@@ -68,8 +61,7 @@ class Collected:
 
     Attributes:
         version: the package version that all runs were made with; empty before the first run.
-        demonstrations: digests of demonstrations from a user's dataset, by task.
-        generated: digests of generated demonstrations, by folder and task.
+        demonstrations, generated: digests of demonstrations, which were recorded once.
         runs: seconds of training and evaluation, time of completion, method, tasks, seed, and the
             key of the run's settings, by run folder.
         failed: the error of each run that failed.
@@ -126,7 +118,7 @@ class Collected:
         return {**facts, "settings": {**settings, "config": config}}
 
     def adopt(self, planned: Mapping[str, PlannedRun]) -> None:
-        """Rename runs made before a configuration option existed to the plan's names for them."""
+        """Rename runs with an earlier name, which had a digest of the settings, to the plan's."""
         earlier = {name: self.record(name) for name in self.runs.keys() - planned.keys()}
         for run in planned.values():
             if run.folder in self.runs:
@@ -162,15 +154,15 @@ def collect(
         stated: `looks` and `dataset`, passed to `_entry`.
 
     Raises:
-        ResultsError: a source is not a results folder, or the version or the demonstrations of its
-            runs differ from those collected before.
+        ResultsError: a source is not a results folder.
     """
     planned = {run.folder: run for run in planned_runs(read_plan(plan))}
     collected = Collected.read(out)
     collected.adopt(planned)
     for source in sources:
-        _require_same(source, collected, out)
-        for folder in run_folders(source):
+        if not (source / PLAN).is_file():
+            raise ResultsError(f"{source}: expected a results folder, found no {PLAN}")
+        for folder in sorted(path for path in (source / RUNS).glob("[!.]*") if path.is_dir()):
             if folder.name not in planned:
                 yield f"left out: {folder}: not a run of {plan}"
                 continue
@@ -203,12 +195,14 @@ def _collect_run(
     key = f"{RUNS}/{name}"
     second = f"{key}/{LEADERBOARD}"
     try:
-        if run and second not in collected.entries and read_state(folder) == DONE:
+        record = read_result(folder)
+        if run and second not in collected.entries and record.get("state") == DONE:
             evaluate_for_leaderboard(run, folder)
-        if name not in collected.runs and (state := read_state(folder)):
-            record = read_json(folder / RESULT)
-            if state == DONE:
-                collected.add(name, record, _entry(folder, collected.version, **stated))
+        if name not in collected.runs and record:
+            if record["state"] == DONE:
+                entry = _entry(folder, collected.version, **stated)
+                collected.version = entry.version
+                collected.add(name, record, entry)
             else:
                 collected.failed[name] = str(record["error"])
         new = second not in collected.entries and name in collected.runs
@@ -228,13 +222,18 @@ def evaluate_for_leaderboard(run: PlannedRun, folder: Path) -> None:
 
 
 def _is_same_run(run: PlannedRun, record: Mapping[str, Any]) -> bool:
-    """Whether a final record is of a run with these settings; newer options take their defaults."""
-    settings = record.get("settings")
-    if record.get("method") != run.method or not isinstance(settings, dict):
+    """Whether a final record is of a run with these settings.
+
+    Newer options take their defaults; options that are no more do not count.
+    """
+    settings, options = record["settings"], run.config.to_dict()
+    of = settings["config"]["tasks"], settings["config"]["seed"]
+    if (record["method"], *of) != (run.method, list(run.tasks), run.seed):
         return False
+    config = {name: value for name, value in settings["config"].items() if name in options}
     try:
-        config = type(run.config).from_dict(settings.get("config", {})).to_dict()
-    except (AttributeError, MagicalError, TypeError):  # another run's record, or damaged
+        config = type(run.config).from_dict(config).to_dict()
+    except MagicalError:  # of another algorithm
         return False
     then, now = {**settings, "config": config}, run.settings()
     return json.dumps(then, sort_keys=True) == json.dumps(now, sort_keys=True)
@@ -243,35 +242,12 @@ def _is_same_run(run: PlannedRun, record: Mapping[str, Any]) -> bool:
 def _entry(folder: Path, version: str, looks: int | None = None, dataset: str = DATASET) -> Entry:
     """A run's entry, with `looks` if stated and the dataset's name."""
     entry = read_entry(folder)
-    if entry.version != version:
+    if version not in ("", entry.version):
         raise ResultsError(f"{folder}: expected an entry made by {version}, found {entry.version}")
     details = dict(entry.details) if looks is None else {**entry.details, LOOKS: looks}
     if DEMONSTRATIONS in details:
         details[DEMONSTRATIONS] = str(details[DEMONSTRATIONS]).replace(DATASET, dataset)
     return replace(entry, details=details)
-
-
-def _require_same(source: Path, collected: Collected, out: Path) -> None:
-    """Note a results folder's version and demonstrations, which must not differ."""
-    if not is_results(source):
-        raise ResultsError(f"{source}: expected a results folder, found no {EXPERIMENT}")
-    found = read_experiment(source)
-    version = found.versions["magical"]
-    if collected.version not in ("", version):
-        raise ResultsError(
-            f"{source}: expected runs of magical {collected.version}, as in {out}, found {version}"
-        )
-    collected.version = version
-    for digests, known in (
-        (found.demonstrations, collected.demonstrations),
-        (found.generated_demonstrations, collected.generated),
-    ):
-        for name, digest in digests.items():
-            if known.setdefault(name, digest) != digest:
-                raise ResultsError(
-                    f"{source}: expected the demonstrations of {name} that runs in {out} learned "
-                    "from, found others"
-                )
 
 
 def main(arguments: Sequence[str]) -> int:

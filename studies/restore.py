@@ -14,15 +14,14 @@ for their weights (`studies/weights.py`).
 
 import argparse
 import sys
-import uuid
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
 
 from magical.errors import MagicalError, ResultsError
 from magical.runs.folder import read_json, write_json
 from magical.runs.plan import PLAN, RESULT, RUNS
-from magical_baselines.experiments.results import DONE, EXPERIMENT, FORMAT, Experiment
+from magical_baselines.experiments.plan import folder_name
+from magical_baselines.experiments.status import DONE
 from studies.collect import Collected
 
 
@@ -44,20 +43,16 @@ def restore(source: Path, out: Path, again: int | None = None) -> int:
         raise ResultsError(f"{out}: expected a new folder; give another --out")
     for name in [name for name, facts in collected.runs.items() if facts["seed"] == again]:
         del collected.runs[name]
+    runs = read_json(source / PLAN)["runs"]
+    # Names of folders had digests once.
+    names = {run["folder"]: folder_name(run["method"], run["tasks"], run["seed"]) for run in runs}
     for name in collected.runs:
-        write_json(out / RUNS / name / RESULT, {"state": DONE, **collected.record(name)})
+        write_json(out / RUNS / names[name] / RESULT, {"state": DONE, **collected.record(name)})
     for key, entry in collected.entries.items():
-        if Path(key).parts[1] in collected.runs:
-            entry.write(out / key)
-    write_json(out / PLAN, {"runs": read_json(source / PLAN)["runs"]})
-    experiment = Experiment(
-        FORMAT,
-        uuid.uuid4().hex,
-        {"magical": collected.version},
-        collected.demonstrations,
-        collected.generated,
-    )
-    write_json(out / EXPERIMENT, asdict(experiment))
+        _, name, *rest = Path(key).parts
+        if name in collected.runs:
+            entry.write(Path(out, RUNS, names[name], *rest))
+    write_json(out / PLAN, {"runs": [{**run, "folder": names[run["folder"]]} for run in runs]})
     return len(collected.runs)
 
 

@@ -25,7 +25,7 @@ from magical.files import sha256_sum, write_atomically
 from magical.runs.folder import CHECKPOINT, CONFIG, RECORD, read_json, write_json
 from magical.runs.plan import RUNS
 from magical_baselines.checkpoints import load_checkpoint, save_checkpoint
-from magical_baselines.experiments.results import DONE, read_state
+from magical_baselines.experiments.status import DONE, read_result
 from studies.collect import Collected
 
 WEIGHTS = "weights.json"  # in the folder of collected results
@@ -92,7 +92,7 @@ def unpack(archive: Path, results: Path, out: Path) -> list[str]:
 
 
 def _require_scores(folder: Path, entry: Entry) -> None:
-    if read_state(folder) != DONE:
+    if read_result(folder).get("state") != DONE:
         raise ResultsError(f"{folder}: expected a run that is done, found none")
     if list(read_entry(folder).scores) != list(entry.scores):
         raise ResultsError(

@@ -26,8 +26,8 @@ from magical_baselines import train
 from magical_baselines.algorithms.ppo import ReinforcementConfig
 from magical_baselines.checkpoints import load_checkpoint
 from magical_baselines.compute import cpu_threads
+from magical_baselines.experiments.execution import opened
 from magical_baselines.experiments.plan import PlannedRun, planned_runs, read_plan
-from magical_baselines.experiments.results import opened
 
 CURVE = "layout.csv"  # in a run's folder: environment steps, mean score
 
@@ -84,12 +84,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
         import_user_module(module)
     out = args.out or Path("runs", args.plan.stem)
     runs = planned_runs(read_plan(args.plan))
-    with opened(out, runs) as results:
+    with opened(out):
         for run in runs:
             if not args.task or set(run.tasks) <= set(args.task):
                 env_ids = tuple(environments(run.tasks, ["Layout"]))
                 evaluation = replace(run.evaluation, env_ids=env_ids, rollouts=args.rollouts)
-                follow(run, results.folder(run), args.demos, evaluation, args.every)
+                follow(run, out / RUNS / run.folder, args.demos, evaluation, args.every)
     for run in runs:
         curve = read_curve(out / RUNS / run.folder)
         print(f"{run}: {' '.join(f'{at}:{mean:.2f}' for at, mean in curve) or 'not run'}")

@@ -2,10 +2,10 @@
 
 from importlib.util import find_spec
 
-from baselines.tests.experiments.conftest import finished, inline, planned, tiny
+from baselines.tests.experiments.conftest import finished, planned, tiny
 from tests.report.conftest import write_entry
 
-__all__ = ["finished", "inline", "planned", "tiny", "write_entry"]
+__all__ = ["finished", "planned", "tiny", "write_entry"]
 
 # What executes plans cannot even be imported without PyTorch.
 NEED_TORCH = (

@@ -1,21 +1,25 @@
 """A plan that takes seconds, and its execution in this process."""
 
+import os
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from magical_baselines.experiments.plan import PlannedRun, planned_runs, read_plan
-from magical_baselines.experiments.results import Outcome, Results
+from tests.waiting import soon
 
 # What needs PyTorch cannot even be imported without it.
 collect_ignore_glob = [] if find_spec("torch") else ["test_*.py"]
 
 Planned = Callable[..., list[PlannedRun]]  # the fixture `planned`
-Started = list[PlannedRun]  # the fixture `inline`
+TIMEOUT = 300.0  # seconds for a plan in a process of its own, on a busy machine
 
 TINY = """
 tasks = ["MoveToRegion"]
@@ -58,23 +62,20 @@ def planned(tiny: Path) -> Planned:
     return make
 
 
-class InlineExecutor:
-    """Finishes each run when it is started, in this process."""
+class Inline:
+    """An executor that finishes each run when it is submitted, in this process."""
 
-    def __init__(self, results: Results, started: Started) -> None:
-        self.results, self.started = results, started
+    def __init__(self) -> None:
+        self.started: list[Any] = []
 
-    def slots(self) -> int:
-        return 1
+    def submit(self, work: Any, folder: Path, demos: Path | None) -> "Future[None]":
+        from magical_baselines.experiments import one_run
 
-    def start(self, run: PlannedRun, demos: Path | None) -> Future[Outcome]:
-        from magical_baselines.experiments.one_run import finish
-
-        self.started.append(run)
-        future: Future[Outcome] = Future()
+        self.started.append(work)
+        future: Future[None] = Future()
         try:
-            future.set_result(finish(run, self.results.folder(run), demos))
-        except OSError as error:  # a process would pass it on
+            future.set_result(one_run.finish(work, folder, demos))
+        except Exception as error:  # a process would pass it on
             future.set_exception(error)
         return future
 
@@ -85,39 +86,53 @@ class InlineExecutor:
         """There is nothing to close."""
 
 
+def execute(runs: list[PlannedRun], out: Path, **options: Any) -> list[Any]:
+    """Execute a plan in this process; what was started."""
+    from magical_baselines.experiments import execution
+
+    inline = Inline()
+    execution.execute(runs, out, inline, workers=1, **options)
+    return inline.started
+
+
 @pytest.fixture
 def out(tmp_path: Path) -> Path:
     """No results yet."""
     return tmp_path / "out"
 
 
-@contextmanager
-def in_this_process() -> Iterator[Started]:
-    """A context in which plans are executed in this process; the list of the runs started."""
-    started: Started = []
-
-    def make(runs: list[PlannedRun], results: Results, resources: object) -> InlineExecutor:
-        return InlineExecutor(results, started)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("magical_baselines.experiments.execution._executor", make)
-        patch.setattr("magical.processes.pool.available_cores", lambda: 1)
-        yield started
-
-
-@pytest.fixture
-def inline() -> Iterator[Started]:
-    """Execute plans in this process; the list of the runs that were started."""
-    with in_this_process() as started:
-        yield started
-
-
 @pytest.fixture(scope="session")
 def finished(planned: Planned, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The results of the tiny plan; not to be changed."""
-    from magical_baselines.experiments.execution import execute
-
     path = tmp_path_factory.mktemp("finished") / "out"
-    with in_this_process():
-        assert execute(planned(), path).complete
+    execute(planned(), path)
     return path
+
+
+@contextmanager
+def running(plan: Path, out: Path, *options: str) -> Iterator["subprocess.Popen[str]"]:
+    """A process that executes a plan, one run at a time; killed at the end."""
+    command = [sys.executable, "-m", "magical", "run", str(plan), "--out", str(out), *options]
+    environ = {**os.environ, "RAY_USAGE_STATS_ENABLED": "0"}
+    with subprocess.Popen(
+        [*command, "--workers", "1"], stderr=subprocess.PIPE, text=True, env=environ
+    ) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+def reached(out: Path, moment: int) -> bool:
+    """Whether so many lines of metrics and records of finished runs are written in time."""
+
+    def written() -> bool:
+        lines = sum(path.read_text().count("\n") for path in out.glob("runs/*/metrics.jsonl"))
+        return lines + len(list(out.glob("runs/*/result.json"))) >= moment
+
+    return soon(written, TIMEOUT)
+
+
+def scores_of(out: Path) -> dict[str, bytes]:
+    """The scores of each run of a results folder."""
+    return {path.parent.name: path.read_bytes() for path in out.glob("runs/*/scores.csv")}

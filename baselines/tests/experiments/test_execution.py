@@ -1,45 +1,43 @@
 """Execution of a plan: what is done once, what again, what is refused, what is recorded."""
 
 import errno
+import io
 import json
 import os
 import shutil
 import signal
-from contextlib import closing
+from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
-from torch import nn
+from filelock import FileLock
 
 import magical
-from baselines.tests.experiments.conftest import Planned, Started
-from baselines.tests.experiments.processes import scores_of
+from baselines.tests.experiments.conftest import Inline, Planned, execute, scores_of
 from magical.cli import main
-from magical.errors import DatasetError, PlacementError, ResultsError
+from magical.errors import PlacementError, ResultsError, WorkerDiedError
 from magical.evaluation import Evaluation, environments, read_entry
-from magical.files import lock_now
-from magical.plugins import import_user_module
 from magical.runs import versions
 from magical.runs.machine import machine
-from magical.runs.plan import read_listing
-from magical.tasks import unregister_task
 from magical_baselines import load_policy, read_config
-from magical_baselines.algorithms import bc
-from magical_baselines.experiments import execution, forecast, one_run, results
-from magical_baselines.experiments.execution import LocalExecutor, Resources, execute
+from magical_baselines.experiments import estimate, execution, one_run
+from magical_baselines.experiments.execution import Processes
 from magical_baselines.experiments.one_run import evaluate_reference
-from magical_baselines.experiments.results import Results
-from magical_baselines.experiments.status import read_status
+from magical_baselines.experiments.plan import PlannedReference
+from magical_baselines.experiments.status import lock_of, read_status
 from magical_baselines.running import training
 
 
-def results_of(out: Path) -> dict[str, dict[str, Any]]:
-    """The final record of each run, by its folder's name."""
-    return {
-        path.parent.name: json.loads(path.read_text()) for path in out.glob("runs/*/result.json")
-    }
+def record_of(out: Path, run: Any) -> dict[str, Any]:
+    """The final record of a run."""
+    return dict(json.loads((out / "runs" / run.folder / "result.json").read_text()))
+
+
+def states(out: Path) -> list[str]:
+    """The states of a plan's runs."""
+    return [run.state for run in read_status(out).runs]
 
 
 @pytest.fixture
@@ -51,7 +49,7 @@ def copied(finished: Path, out: Path) -> Path:
 def test_every_run_is_a_run_folder_with_an_entry_and_a_record(
     planned: Planned, finished: Path
 ) -> None:
-    records = results_of(finished)
+    assert [run.folder for run in planned()] == [f"bc-tiny-MoveToRegion-seed{k}" for k in (0, 1)]
     for run in planned():
         folder = finished / "runs" / run.folder
         entry = read_entry(folder)
@@ -61,208 +59,146 @@ def test_every_run_is_a_run_folder_with_an_entry_and_a_record(
         assert entry.details["learned_from"] == ["demonstrations"]
         assert entry.details["policy"] == "."
         assert entry.nudge == 1e-9
-        assert entry.details["machine"] == machine()
-        assert entry.details["versions"] == versions()
         assert read_config(folder).seed == run.seed
         assert load_policy(folder).tasks == ("MoveToRegion",)
-        record = records[run.folder]
-        assert (record["state"], record["identity"]) == ("done", run.identity)
+        record = record_of(finished, run)
+        assert (record["state"], record["settings"]) == ("done", run.settings())
+        assert record["versions"] == versions()
         assert record["versions"]["magical"] == magical.__version__
-        assert {"torch", "numpy", "python"} <= set(record["versions"])
-        assert set(record["machine"]) == {"name", "platform", "processor", "cores"}
+        assert record["machine"] == machine()
         assert set(record["seconds"]) == {"training", "evaluation"}
-    seconds = [sum(records[run.folder]["seconds"].values()) for run in planned()]
-    assert [run.seconds for run in read_status(finished).runs] == seconds
 
 
-def test_what_is_done_is_not_done_again_and_a_changed_plan_runs_what_changed(
-    planned: Planned, inline: Started, copied: Path, capsys: pytest.CaptureFixture[str]
+def test_what_is_done_is_not_done_again(planned: Planned, copied: Path) -> None:
+    assert execute(planned(), copied) == []
+    more = planned(("seeds = [0, 1]", "seeds = [2, 1]"), ('["MoveToRegion"]', '["MoveToCorner"]'))
+    assert [run.seed for run in execute([*planned()[:1], *more[:1]], copied)] == [2]
+    assert [run.tasks for run in read_status(copied).runs] == [("MoveToRegion",), ("MoveToCorner",)]
+
+
+@pytest.mark.parametrize("done", [True, False])
+def test_a_run_with_other_settings_is_not_replaced(
+    planned: Planned, copied: Path, done: bool
 ) -> None:
-    summary = execute(planned(), copied)
-    assert (summary.complete, summary.total, summary.interrupted) == (True, 2, False)
-    assert inline == []
-    execute(planned(("seeds = [0, 1]", "seeds = [1, 2]")), copied)
-    assert [run.seed for run in inline] == [2]
-    assert "an earlier plan or other demonstrations: 1\n" in capsys.readouterr().err
-    status = read_status(str(copied))
-    assert (status.counts["done"], status.others, status.active) == (2, 1, False)
-    inline.clear()
-    execute(planned(("seeds = [0, 1]", "seeds = [0]"), ("batches = 6", "batches = 7")), copied)
-    assert [run.config.num_updates for run in inline] == [7]
-    for record in copied.glob("runs/*/result.json"):
-        record.write_text('{"state": "done", "seconds": {"training": "long"}}')
-    assert read_status(copied).counts["done"] == 1
+    (run, _) = planned()
+    if not done:
+        (copied / "runs" / run.folder / "result.json").unlink()
+    with pytest.raises(ResultsError, match=f"{run.folder} holds .*batches 6 there, 7 asked for"):
+        execute(planned(("batches = 6", "batches = 7")), copied)
+    if done:
+        with pytest.raises(ResultsError, match="other settings: evaluation"):
+            execute(planned(("rollouts = 1", "rollouts = 2")), copied)
+        with pytest.raises(ResultsError, match="demonstrations 'expert' there, 'dataset'"):
+            execute(planned(demos=str(copied / "demos" / "expert-3")), copied)
 
 
-def test_a_failing_run_is_recorded_and_does_not_stop_the_others(
-    planned: Planned,
-    inline: Started,
-    out: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+def test_a_run_that_fails_does_not_stop_the_others(
+    planned: Planned, out: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    runs = planned()
-
-    def train(config: Any, *args: Any, **kwargs: Any) -> Any:
+    def train(config: Any, folder: Path, **kwargs: Any) -> Any:
         if config.seed == 0:
             raise PlacementError("no room")
-        return training.train(config, *args, **kwargs)
+        return training.train(config, folder, **kwargs)
 
-    monkeypatch.setattr("magical_baselines.experiments.one_run.train", train)
-    summary = execute(runs, out)
-    assert (summary.counts["done"], summary.counts["failed"]) == (1, 1)
-    assert "failed: BC tiny, MoveToRegion, seed 0" in capsys.readouterr().err
-    record = results_of(out)[runs[0].folder]
-    assert record["error"] == "no room"
-    assert "in train" in record["traceback"]
-    (failed,) = (run for run in read_status(out).runs if run.state == "failed")
-    assert failed.error == "no room"
+    runs = planned()
+    monkeypatch.setattr(one_run, "train", train)
+    execute(runs, out)
+    assert states(out) == ["failed", "done"]
+    assert "failed: BC tiny, MoveToRegion, seed 0: no room (1 of 2)" in capsys.readouterr().err
+    assert "in train" in record_of(out, runs[0])["traceback"]
+    status = read_status(out)
+    assert status.runs[0].error == "no room"
+    assert str(status).endswith(f"magical run PLAN --out {out} --retry-failed")
 
-    monkeypatch.setattr("magical_baselines.experiments.one_run.train", training.train)
-    inline.clear()
-    assert not execute(runs, out).complete
-    assert inline == []
-    assert execute(runs, out, retry_failed=True).complete
-    assert [run.seed for run in inline] == [0]
+    monkeypatch.setattr(one_run, "train", training.train)
+    assert execute(runs, out) == []
+    assert execute(runs, out, retry_failed=True) == runs[:1]
+    assert read_status(out).complete
+
+
+def test_a_run_whose_process_is_killed_fails_alone(planned: Planned, out: Path) -> None:
+    class Killing(Inline):
+        def submit(self, work: Any, folder: Path, demos: Path | None) -> "Future[None]":
+            if work.seed:
+                return super().submit(work, folder, demos)
+            future: Future[None] = Future()
+            future.set_exception(WorkerDiedError("its process was killed"))
+            return future
+
+    assert not execution.execute(planned(), out, Killing(), workers=1)
+    assert states(out) == ["failed", "done"]
+    assert read_status(out).runs[0].progress == "its process was killed"
 
 
 @pytest.mark.posix
 def test_an_interrupted_run_resumes_from_its_checkpoint(
-    planned: Planned,
-    inline: Started,
-    out: Path,
-    finished: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    planned: Planned, out: Path, finished: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (run, _) = runs = planned()
-    steps: list[int] = []
+    runs, steps = planned(), list[int]()
 
     def train(config: Any, folder: Path, **kwargs: Any) -> Any:
         def interrupt(step: int, metrics: object) -> None:
             steps.append(step)
             if len(steps) == 3:
+                assert states(out) == ["running"]
                 os.kill(os.getpid(), signal.SIGTERM)
 
         return training.train(config, folder, callback=interrupt, **kwargs)
 
-    monkeypatch.setattr("magical_baselines.experiments.one_run.train", train)
-    execute([run], out)
+    monkeypatch.setattr(one_run, "train", train)
+    execute(runs[:1], out)
     assert steps == [1, 2, 3, 4]  # a signal is seen after the next batch
-    assert results_of(out) == {}
-    assert [one.step for one in read_status(out).runs] == [4]
-    assert execute([run], out).complete
-    assert steps == [1, 2, 3, 4, 5, 6]
-    assert execute(runs, out).complete
+    (status,) = read_status(out).runs
+    assert (status.state, status.progress) == ("waiting", "4 of 6")
+    execute(runs, out)
+    assert steps[:6] == [1, 2, 3, 4, 5, 6]
     assert scores_of(out) == scores_of(finished)
 
 
-def test_a_run_with_a_damaged_checkpoint_fails_and_keeps_it(
-    planned: Planned, inline: Started, copied: Path
-) -> None:
+def test_a_damaged_checkpoint_fails_and_is_kept(planned: Planned, copied: Path) -> None:
     (run, _) = planned()
     folder = copied / "runs" / run.folder
     (folder / "result.json").unlink()
     (folder / "checkpoint.safetensors").write_bytes(b"damaged")
-    assert execute([run], copied).counts["failed"] == 1
-    assert "checkpoint.safetensors is damaged" in results_of(copied)[run.folder]["error"]
+    execute([run], copied)
+    assert "checkpoint.safetensors is damaged" in record_of(copied, run)["error"]
     assert (folder / "checkpoint.safetensors").read_bytes() == b"damaged"
 
 
-def test_checkpoints_of_another_network_are_left_as_they_are(
-    planned: Planned, inline: Started, copied: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (run, _) = planned()
-    folder = copied / "runs" / run.folder
-    (folder / "result.json").unlink()
-    before = (folder / "checkpoint.safetensors").read_bytes()
-    made = bc.make_policy
-    monkeypatch.setattr(bc, "make_policy", lambda config: nn.Sequential(made(config)))
-    assert execute([run], copied).counts["failed"] == 1
-    assert "the checkpoint is of another network" in results_of(copied)[run.folder]["error"]
-    assert (folder / "checkpoint.safetensors").read_bytes() == before
-
-
-def test_what_a_killed_process_left_does_not_stand_in_the_way(
-    planned: Planned, inline: Started, out: Path
-) -> None:
-    (run, _) = planned()
-    folder = out / "runs" / run.folder
-    with results.opened(out, [run]) as opened:
-        opened.write_plan([run])
-        opened.write_progress([run], 2)
-        assert read_status(out).counts["running"] == 1
-    with results.opened(out, [run]):
-        assert read_status(out).counts["running"] == 0
-    folder.mkdir(parents=True)
-    for name in (".result.json.999.part", ".scores.csv.999.part"):
-        (folder / name).write_text("{")
-    assert execute([run], out).complete
-    assert list(folder.glob(".*.part")) == []
-
-
 def test_no_space_stops_the_plan_and_says_so(
-    planned: Planned, inline: Started, out: Path, monkeypatch: pytest.MonkeyPatch
+    planned: Planned, out: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def full(*args: object, **kwargs: object) -> None:
+    def full(*args: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    runs = planned()
-    for part in ("evaluate_run", "finish"):  # in a run, or where its process does something else
-        inline.clear()
-        monkeypatch.setattr(one_run, part, full)
-        with pytest.raises(ResultsError, match=r"no space left on the device.* free some space"):
-            execute(runs, out)
-        assert [run.seed for run in inline] == [0]
-        assert results_of(out) == {}
-    monkeypatch.setattr(results, "write_json", full)
-    with pytest.raises(ResultsError, match="no space left on the device"):
-        execute(runs, out)
+    monkeypatch.setattr(one_run, "evaluate_run", full)
+    with pytest.raises(ResultsError, match=r"no space left on the device.* free some space"):
+        execute(planned(), out)
+    assert states(out) == ["waiting", "waiting"]
 
 
-def test_other_folders_are_refused(planned: Planned, inline: Started, copied: Path) -> None:
-    runs, out = planned(), copied
-    with pytest.raises(ResultsError, match="expected a new or an empty folder"):
-        execute(runs, out / "demos")
-    with pytest.raises(ResultsError, match="results of another plan, with the methods BC tiny;"):
-        execute(planned(('"BC tiny"', '"BC"')), out)
-    experiment = json.loads((out / "experiment.json").read_text())
-    other = {**experiment, "versions": {"magical": "0.0.1"}, "more": 1}
-    (out / "experiment.json").write_text(json.dumps(other))
-    with pytest.raises(ResultsError, match=r"results of magical 0\.0\.1 .*this is magical"):
-        execute(runs, out)
-    for damaged in ("{", json.dumps({**experiment, "demonstrations": [1]})):
-        (out / "experiment.json").write_text(damaged)
-        with pytest.raises(ResultsError, match=r"experiment\.json"):
-            execute(runs, out)
-
-
-def test_a_plan_that_is_refused_leaves_the_one_before_listed(
-    planned: Planned, inline: Started, copied: Path, tmp_path: Path
-) -> None:
-    with pytest.raises(DatasetError, match="no-such-folder"):
-        execute(planned(demos=str(tmp_path / "no-such-folder")), copied)
-    assert read_status(copied).counts["done"] == 2
-
-
-def test_a_folder_is_used_by_one_execution_at_a_time(
-    planned: Planned, inline: Started, copied: Path
-) -> None:
-    with lock_now(copied / ".lock"):
+def test_other_folders_and_folders_in_use_are_refused(planned: Planned, copied: Path) -> None:
+    with pytest.raises(ResultsError, match="expected an empty folder"):
+        execute(planned(), copied / "demos")
+    with FileLock(copied / ".lock"):
         assert read_status(copied).active
-        with pytest.raises(ResultsError, match=f"process {os.getpid()} already runs a plan"):
+        with pytest.raises(ResultsError, match="another process runs a plan in it"):
             execute(planned(), copied)
-    (copied / "runs" / planned()[0].folder / "result.json").write_text("{")
-    status = read_status(str(copied))
-    assert not status.active
-    assert [run.state for run in status.runs] == ["failed", "done"]
-    assert "result.json" in status.runs[0].error
+    with FileLock(lock_of(copied / "runs" / planned()[1].folder)):
+        (copied / "runs" / planned()[0].folder / "result.json").write_text("{")
+        (copied / "runs" / planned()[1].folder / "result.json").unlink()
+        first, second = read_status(copied).runs
+    assert not read_status(copied).active
+    assert (first.state, second.state) == ("failed", "running")
+    assert "result.json" in first.progress
+    assert second.progress == "6 of 6"
 
 
 def test_status_and_dry_run_on_the_command_line(
     tiny: Path,
-    inline: Started,
     out: Path,
     finished: Path,
+    monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     def result(*argv: str) -> tuple[list[str], dict[str, Any]]:
@@ -270,68 +206,90 @@ def test_status_and_dry_run_on_the_command_line(
         lines = capsys.readouterr().out.splitlines()
         return lines, json.loads(lines[-1])
 
-    dry = ("run", str(tiny), "--out", str(out), "--dry-run")
-    lines, plan = result(*dry)
+    monkeypatch.setattr(Processes, "for_runs", lambda runs, workers: Inline())
+    lines, plan = result("run", str(tiny), "--out", str(out), "--dry-run")
     assert not out.exists()
-    assert plan["runs"] == 2
-    assert [(one["method"], one["tasks"], one["seed"]) for one in plan["plan"]] == [
-        ("BC tiny", ["MoveToRegion"], 0),
-        ("BC tiny", ["MoveToRegion"], 1),
-    ]
-    assert all(one["seconds"] > 0 for one in plan["plan"])
-    assert "measured just now on this machine" in lines[-2]
+    assert [one["state"] for one in plan["plan"]] == ["waiting", "waiting"]
+    assert plan["seconds"] >= 0
+    assert lines[-2].startswith(f"{out}: 2 of 2 runs to do; training takes about ")
     assert main(["status", str(out)]) == 1
     assert "expected a results folder" in capsys.readouterr().err
 
     shutil.copytree(finished, out)
     _, summary = result("run", str(tiny), "--out", str(out))
-    assert (summary["runs"], summary["done"], summary["failed"]) == (2, 2, 0)
-    assert [one["state"] for one in result(*dry)[1]["plan"]] == ["done", "done"]
-    _, status = result("status", str(out))
+    assert (summary["runs"], summary["done"], summary["interrupted"]) == (2, 2, False)
+    lines, plan = result("run", str(tiny), "--out", str(out), "--dry-run")
+    assert lines[-2] == f"{out}: 0 of 2 runs to do"
+    lines, status = result("status", str(out))
     assert (status["done"], status["waiting"], status["active"]) == (2, 0, False)
+    assert lines[2].split() == ["BC", "tiny,", "MoveToRegion,", "seed", "0", "done"]
 
 
-def test_failed_runs_are_left_only_where_they_are_tried_again(
-    planned: Planned, copied: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(forecast, "estimate", lambda runs: [60.0] * 2)
-    record = copied / "runs" / planned()[0].folder / "result.json"
-    record.write_text(record.read_text().replace('"done"', '"failed"'))
-    for again, left in ((False, "0:00:00"), (True, "0:01:00")):
-        found = forecast.forecast(planned(), copied, retry_failed=again)
-        assert list(found.lines())[1].startswith(f"time left, one run at a time: {left}")
+@pytest.mark.parametrize(
+    ("seconds", "words"),
+    [
+        (0.4, "about 0 seconds"),
+        (1.0, "about 1 second"),
+        (47, "about 50 seconds"),
+        (89, "about 90 seconds"),
+        (100, "about 2 minutes"),
+        (10_000, "about 3 hours"),
+        (20 * 3600, "about 20 hours"),
+        (40 * 86_400, "about 40 days"),
+    ],
+)
+def test_durations_are_as_a_person_would_say_them(seconds: float, words: str) -> None:
+    assert estimate.in_words(seconds) == words
+
+
+class FakeChild:
+    """A process that ends at once."""
+
+    returncode = 0
+
+    def __init__(self) -> None:
+        self.stdin = io.BytesIO()
+
+    def __enter__(self) -> "FakeChild":
+        return self
+
+    def __exit__(self, *error: object) -> None: ...
+
+    def wait(self) -> int:
+        return 0
 
 
 def test_runs_take_turns_on_the_visible_gpus(
     planned: Planned, out: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    made: list[tuple[Any, ...]] = []
+    given: list[Any] = []
     monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
-    monkeypatch.setattr(execution, "ProcessPool", lambda *args: made.append(args))
-    runs, results = planned(("seeds = [0, 1]", "seeds = [0, 1, 2]")), Results(out, "")
-    for visible, gpus in ((None, ["0", "1"]), ("7,3", ["7", "3"])):
+    monkeypatch.setattr(execution, "_start", lambda environ: given.append(environ) or FakeChild())
+    (run, _) = planned()
+    for visible, gpus in ((None, ["0", "1", "0"]), ("7,3", ["7", "3", "7"])):
         monkeypatch.delenv("CUDA_VISIBLE_DEVICES", raising=False)
         if visible:
             monkeypatch.setenv("CUDA_VISIBLE_DEVICES", visible)
-        LocalExecutor(runs, results, 4)
-        assert made.pop() == (3, [{"CUDA_VISIBLE_DEVICES": gpu} for gpu in gpus])
-    monkeypatch.setattr(torch.cuda, "device_count", lambda: 0)
-    LocalExecutor(runs, results, 2)
-    assert made.pop() == (2, [{}])
+        given.clear()
+        processes = Processes(3)
+        for _ in range(4):
+            processes.submit(run, out, None).result()
+        processes.close()
+        assert given == [{"CUDA_VISIBLE_DEVICES": gpu} for gpu in [*gpus, gpus[0]]]
 
 
 @pytest.mark.parametrize(("workers", "slots"), [(None, 2), (5, 5)])
 def test_the_cores_have_room_for_the_threads_of_all_runs(
-    planned: Planned, finished: Path, monkeypatch: pytest.MonkeyPatch, workers: int, slots: int
+    planned: Planned, monkeypatch: pytest.MonkeyPatch, workers: int | None, slots: int
 ) -> None:
-    monkeypatch.setattr("magical_baselines.experiments.execution.available_cores", lambda: 8)
-    runs = planned(("seeds = [0, 1]", "seeds = [0, 1]\nthreads = 3"))
-    with closing(LocalExecutor(runs, Results(finished, ""), workers)) as executor:
-        assert executor.slots() == slots
+    made: list[int] = []
+    monkeypatch.setattr(execution, "available_cores", lambda: 8)
+    monkeypatch.setattr(Processes, "__init__", lambda self, count: made.append(count))
+    Processes.for_runs(planned(("rollouts = 1", "rollouts = 1\nthreads = 3")), workers)
+    assert made == [slots]
 
 
 def test_a_reference_is_evaluated_again_where_the_evaluation_is_another(tmp_path: Path) -> None:
-    folder = tmp_path / "references" / "noop-MoveToRegion"
     for variant, rollouts, horizon in (
         ("Demo", 1, 1),
         ("Demo", 2, 1),
@@ -340,36 +298,11 @@ def test_a_reference_is_evaluated_again_where_the_evaluation_is_another(tmp_path
     ):
         env_ids = environments(["MoveToRegion"], [variant])
         evaluation = Evaluation.of(env_ids, rollouts=rollouts, horizon=horizon)
-        evaluate_reference(("noop", evaluation), tmp_path)
+        reference = PlannedReference("noop", evaluation)
+        folder = tmp_path / reference.folder
+        evaluate_reference(reference, folder)
         entry, before = read_entry(folder), (folder / "scores.csv").stat().st_mtime_ns
         assert [row.env_id for row in entry.scores] == env_ids * rollouts
         assert entry.horizon == str(horizon)
-        evaluate_reference(("noop", evaluation), tmp_path)
+        evaluate_reference(reference, folder)
         assert (folder / "scores.csv").stat().st_mtime_ns == before
-
-
-OUTSIDE = """
-from dataclasses import replace
-from magical.experts import register_planner
-from magical.experts.goals import get_planner
-from magical.tasks import get_task
-TASK = replace(get_task("MoveToRegion"), name="DriveHere", section="")
-register_planner("DriveHere", get_planner("MoveToRegion"))
-"""
-
-
-def test_a_task_of_a_module_is_known_in_the_processes_of_runs_and_references(
-    planned: Planned, out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "task_for_a_plan.py").write_text(OUTSIDE)
-    monkeypatch.syspath_prepend(tmp_path)
-    import_user_module("task_for_a_plan")
-    changes = ('["MoveToRegion"]', '["task_for_a_plan:TASK"]'), ("seeds = [0, 1]", "seeds = [0]")
-    try:
-        runs = planned(*changes)
-        references = [("expert", runs[0].evaluation)]
-        assert execute(runs, out, Resources(workers=1), references=references).complete
-        assert (out / "references" / "expert-DriveHere" / "scores.csv").exists()
-        assert read_listing(out).references == ("expert-DriveHere",)
-    finally:
-        unregister_task("DriveHere")

@@ -61,7 +61,7 @@ def test_a_second_quickstart_takes_up_what_is_there(
     assert {row["method"] for row in json.loads(result)["rows"]} == {"BC quick", "expert", "random"}
     text = (folder / "report.html").read_text()
     assert text.index(learned) < text.index("poses anywhere in the workspace") < text.index("<h2")
-    assert read_status(folder).command == tuple(ARGV[:-2])
+    assert set(ARGV[:-2]) <= set(read_status(folder).command)
 
 
 def test_the_page_says_what_its_cells_show(folder: Path) -> None:

@@ -100,6 +100,7 @@ def run(args: argparse.Namespace) -> int:
     from magical.evaluation.entry import POLICY
     from magical.evaluation.protocol import NUDGE, Evaluation
     from magical.evaluation.rollouts import roll_out
+    from magical.processes import checked_workers
     from magical.progress import ProgressBar
 
     policy = load_policy(args.policy)
@@ -128,7 +129,8 @@ def run(args: argparse.Namespace) -> int:
             f"{unfinished['planned']} updates are done; magical train with --resume continues it"
         )
     with ProgressBar("rollouts", len(evaluation.env_ids) * args.rollouts) as bar:
-        scores = roll_out(policy, evaluation, workers=args.workers, progress=bar.advance)
+        workers = checked_workers(args.workers)
+        scores = roll_out(policy, evaluation, workers=workers, progress=bar.advance)
     print_scores(scores)
     if args.out:
         replace(entry, scores=scores).write(args.out)

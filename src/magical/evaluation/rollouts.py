@@ -56,8 +56,8 @@ def evaluate(
         nudge: the largest shift of initial poses, in units and radians, sampled from each rollout's
             seed; 1e-9 averages over what rounding decides on Demo (docs/determinism.md).
         num_envs: the most environments to step together (at least one for each environment id).
-        workers: processes; by default one for each core. They step the environments, and for a
-            policy with `in_processes` they run the policy too.
+        workers: processes that step the environments; by default one for each core. For a policy
+            with `in_processes` they run the policy too, by default in this process alone.
         progress: called with the number of rollouts that have just ended.
 
     Returns:
@@ -150,7 +150,7 @@ def _in_processes(
         for env_id in evaluation.env_ids
         for first in range(0, evaluation.rollouts, SHARE)
     ]
-    count = min(checked_workers(workers), len(shares))
+    count = min(1 if workers is None else checked_workers(workers), len(shares))
     modules = modules_for(policy, list(evaluation.by_task)) if count > 1 else []
     score = with_tasks(partial(_score_share, policy, evaluation), modules)
     yield from map_in_processes(score, shares, count)

@@ -6,7 +6,6 @@ pixels; its policies, the expert and a random policy are evaluated on all varian
 """
 
 import argparse
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from statistics import mean
@@ -46,42 +45,33 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Execute the plan, write the page, say in three sentences what came of it."""
-    from magical_baselines.experiments.execution import Resources, execute
-    from magical_baselines.experiments.plan import (
-        find_plan,
-        planned_references,
-        planned_runs,
-        read_plan,
-    )
+    from magical.processes import available_cores
+    from magical_baselines.experiments import plan as plans
+    from magical_baselines.experiments.execution import Processes, execute
+    from magical_baselines.experiments.status import read_status
 
-    plan = read_plan(find_plan("quickstart"))
+    plan = plans.read_plan(plans.find_plan("quickstart"))
+    (method,) = plan.methods
     if args.batches:
-        settings = {"batches": args.batches}
-        methods = tuple(replace(method, settings=settings) for method in plan.methods)
-        plan = replace(plan, methods=methods)
-    plan = replace(
-        plan,
-        tasks=tuple(args.task or plan.tasks),
-        seeds=(args.seed,),
-        rollouts=args.rollouts,
+        method = replace(method, settings={"batches": args.batches})
+    tasks = tuple(args.task or plan.tasks)
+    plan = replace(plan, methods=(method,), tasks=tasks, seeds=(args.seed,), rollouts=args.rollouts)
+    command = ["quickstart", "--task", *tasks, "--seed", args.seed, "--rollouts", args.rollouts]
+    command += ["--batches", args.batches] if args.batches else []
+    runs = plans.planned_runs(plan)
+    interrupted = execute(
+        runs,
+        args.out,
+        Processes.for_runs(runs, args.workers),
+        references=plans.planned_references(plan),
+        workers=args.workers or available_cores(),
+        command=list(map(str, command)),
     )
-    references = planned_references(plan)
-    resources = Resources(workers=args.workers)
-    summary = execute(
-        planned_runs(plan), args.out, resources, references=references, command=_command(args)
-    )
-    log(str(summary))
-    if not summary.complete:
-        return INTERRUPTED if summary.interrupted else 1
+    status = read_status(args.out)
+    log(str(status))
+    if not status.complete:
+        return INTERRUPTED if interrupted else 1
     return _report(args, plan)
-
-
-def _command(args: argparse.Namespace) -> list[str]:
-    """The words of this command, but for the folder."""
-    options = {"--task": args.task, "--batches": args.batches and [args.batches]}
-    options |= {"--seed": [args.seed], "--rollouts": [args.rollouts]}
-    given = ([name, *map(str, values)] for name, values in options.items() if values)
-    return ["quickstart", *(word for words in given for word in words)]
 
 
 def _report(args: argparse.Namespace, plan: "Plan") -> int:
@@ -113,19 +103,23 @@ def _report(args: argparse.Namespace, plan: "Plan") -> int:
 
 def _conclusions(plan: "Plan", entries: "list[Entry]") -> list[str]:
     """What was learned, and where it fails, in a sentence each."""
+    from magical.grouping import group_by
     from magical.tasks.axes import CHANGED, DEMO, short_variant
 
     (learner, *_), (expert, random) = (method.name for method in plan.methods), plan.references
-    scores = {name: _means(entries, name) for name in (learner, expert, random)}
+    rows = [(entry.method, row) for entry in entries for row in entry.scores]
+    groups = group_by(rows, lambda pair: (pair[0], pair[1].env_id.task, pair[1].env_id.variant))
+    means = {key: mean(row.score for _, row in group) for key, group in groups.items()}
     demo = {
-        name: mean(of_one[task, DEMO] for task in plan.tasks) for name, of_one in scores.items()
+        name: mean(means[name, task, DEMO] for task in plan.tasks)
+        for name in (learner, expert, random)
     }
     lowest = []
     for task in plan.tasks:
-        tests = [pair for pair in scores[learner] if pair[0] == task and pair[1] != DEMO]
-        variant = min(tests, key=scores[learner].__getitem__)[1]
-        score = scores[learner][task, variant]
-        lowest.append(f"{score:.2f} on {task} {short_variant(variant)} ({CHANGED[variant]})")
+        tests = [key for key in means if key[:2] == (learner, task) and key[2] != DEMO]
+        worst = min(tests, key=means.__getitem__)
+        where = f"{task} {short_variant(worst[2])} ({CHANGED[worst[2]]})"
+        lowest.append(f"{means[worst]:.2f} on {where}")
     return [
         f"{learner}, trained on {plan.num_demos} demonstrations of {' and of '.join(plan.tasks)}, "
         f"scores {demo[learner]:.2f} in the scene of the demonstrations (Demo; the expert "
@@ -133,12 +127,3 @@ def _conclusions(plan: "Plan", entries: "list[Entry]") -> list[str]:
         f"It fails most where it scores {' and '.join(lowest)}: where that is far below Demo, it "
         "has learned the scene rather than the task.",
     ]
-
-
-def _means(entries: "list[Entry]", method: str) -> Mapping[tuple[str, str], float]:
-    """A method's mean score by task and variant."""
-    from magical.grouping import group_by
-
-    rows = (row for entry in entries if entry.method == method for row in entry.scores)
-    groups = group_by(rows, lambda row: (row.env_id.task, row.env_id.variant))
-    return {pair: mean(row.score for row in group) for pair, group in groups.items()}

@@ -30,35 +30,20 @@ HELP = "run a plan of training runs, on this machine or a Ray cluster"
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Describe the command's arguments."""
-    parser.add_argument(
-        "plan", metavar="PLAN", help="a plan of this package, such as quick, or a TOML file"
-    )
+    meaning = "a plan of this package, such as quick, or a TOML file"
+    parser.add_argument("plan", metavar="PLAN", help=meaning)
     add_out(parser, "results folder (default: runs/NAME, with the plan's name)")
-    parser.add_argument(
-        "--demos",
-        metavar="FOLDER",
-        help="a dataset of demonstrations, or `expert`, instead of the plan's",
-    )
-    parser.add_argument(
-        "--executor",
-        choices=("local", "ray"),
-        default="local",
-        help="where to run: in processes on this machine, or as tasks of a Ray cluster",
-    )
-    parser.add_argument(
-        "--address",
-        metavar="ADDRESS",
-        help="address of a Ray cluster, as for ray.init; implies --executor ray (default: the "
-        "cluster that this machine belongs to, or a new one)",
-    )
+    meaning = "a dataset of demonstrations, or `expert`, instead of the plan's"
+    parser.add_argument("--demos", metavar="FOLDER", help=meaning)
+    meaning = "where to run: in processes on this machine, or as tasks of a Ray cluster"
+    parser.add_argument("--executor", choices=("local", "ray"), default="local", help=meaning)
+    meaning = "address of a Ray cluster (default: this machine's, or a new one)"
+    parser.add_argument("--address", metavar="ADDRESS", help=f"{meaning}; implies --executor ray")
     meaning = "runs at a time on this machine (default: number of cores / threads per run)"
     add_count(parser, "--workers", meaning)
     add_number(parser, "--gpus", "share of a GPU that Ray reserves for each run")
-    parser.add_argument(
-        "--dry-run",
-        action="store_true",
-        help="list the runs with their estimated time and state, without running any",
-    )
+    meaning = "list the runs with their state, and estimate the time of training; run nothing"
+    parser.add_argument("--dry-run", action="store_true", help=meaning)
     parser.add_argument("--retry-failed", action="store_true", help="rerun failed runs")
     add_json(parser)
 
@@ -72,42 +57,50 @@ def run(args: argparse.Namespace) -> int:
         read_plan,
     )
 
-    if args.gpus and not (args.address or args.executor == "ray"):
+    on_cluster = args.address or args.executor == "ray"
+    if args.gpus and not on_cluster:
         raise UsageError("--gpus needs --executor ray")
     path = find_plan(args.plan)
     plan = read_plan(path, args.demos)
-    out = args.out or Path("runs") / path.stem
+    runs, out = planned_runs(plan), args.out or Path("runs") / path.stem
     if args.dry_run:
-        return _dry_run(args, planned_runs(plan), out)
-    from magical_baselines.experiments.execution import Resources, execute  # imports PyTorch
+        return _dry_run(args, runs, out)
+    from magical.processes import available_cores
+    from magical_baselines.experiments.execution import Processes, execute
+    from magical_baselines.experiments.status import read_status
 
-    resources = Resources(
-        executor="ray" if args.address else args.executor,
-        address=args.address,
-        workers=args.workers,
-        gpus=args.gpus,
-    )
-    summary = execute(
-        planned_runs(plan),
+    if on_cluster:
+        from magical_baselines.experiments.cluster import RayTasks  # an optional library
+
+        cores = args.workers and args.workers * plan.threads
+    interrupted = execute(
+        runs,
         out,
-        resources,
+        RayTasks(out, args.address, cores, args.gpus)
+        if on_cluster
+        else Processes.for_runs(runs, args.workers),
         references=planned_references(plan),
+        workers=args.workers or available_cores(),
         retry_failed=args.retry_failed,
         command=["run", args.plan, *(["--demos", args.demos] if args.demos else [])],
     )
-    log(str(summary))
-    print_json(args, summary.to_dict())
-    if summary.interrupted:
-        return INTERRUPTED
-    return 0 if summary.complete else 1
+    status = read_status(out)
+    log(str(status))
+    print_json(args, {**status.to_dict(), "interrupted": interrupted})
+    return INTERRUPTED if interrupted else int(not status.complete)
 
 
 def _dry_run(args: argparse.Namespace, runs: "Sequence[PlannedRun]", out: Path) -> int:
-    from magical_baselines.experiments.forecast import HEADER, forecast
+    from magical_baselines.experiments.estimate import in_words, training_seconds
+    from magical_baselines.experiments.execution import planned_state
 
-    expected = forecast(runs, out, retry_failed=args.retry_failed)
-    print_table(HEADER, expected.rows())
-    for line in expected.lines():
-        print(line)
-    print_json(args, expected.to_dict())
+    states = [planned_state(run, out) or "waiting" for run in runs]
+    print_table(("run", "state"), list(zip(runs, states, strict=True)))
+    kept = ("done",) if args.retry_failed else ("done", "failed")
+    left = [run for run, state in zip(runs, states, strict=True) if state not in kept]
+    seconds = training_seconds(left)
+    words = f"; training takes {in_words(seconds)} here, one run at a time" if left else ""
+    print(f"{out}: {len(left)} of {len(runs)} runs to do{words}")
+    plan = [{"run": run.folder, "state": state} for run, state in zip(runs, states, strict=True)]
+    print_json(args, {"out": str(out), "runs": len(runs), "plan": plan, "seconds": round(seconds)})
     return 0

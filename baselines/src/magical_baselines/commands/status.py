@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from magical.commands._common import add_json, print_json
+from magical.commands._common import add_json, print_json, print_table
 
 HELP = "show the progress of a plan"
 
@@ -15,13 +15,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Read the folder, print the table."""
-    from rich.console import Console
-
-    from magical_baselines.experiments.display import status_table
+    """Read the folder, print the state of every run."""
     from magical_baselines.experiments.status import read_status
 
     status = read_status(args.folder)
-    Console(soft_wrap=True).print(status_table(status))
+    print_table(("run", "state", "progress"), [(r, r.state, r.progress) for r in status.runs])
+    print(status)
     print_json(args, status.to_dict())
     return 0

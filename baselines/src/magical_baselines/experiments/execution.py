@@ -1,318 +1,258 @@
-"""Executing the runs of a plan, locally or on a cluster: when each is started, how each ends."""
+"""Executing the runs of a plan: each is started in a process of its own, and ends as files say."""
 
 import errno
 import os
-import shlex
-from collections import Counter, deque
-from collections.abc import Callable, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, wait
-from contextlib import closing, suppress
-from dataclasses import dataclass
-from functools import partial
+import pickle
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import closing, contextmanager, suppress
+from dataclasses import asdict
+from itertools import cycle, islice
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from queue import Empty, SimpleQueue
+from threading import Lock
+from typing import TYPE_CHECKING, Any
 
-from magical.errors import ClusterError, WorkerDiedError
-from magical.evaluation import BUILT_IN, Evaluation
-from magical.evaluation.rollouts import modules_for
+from filelock import FileLock, Timeout
+
+from magical.errors import ClusterError, ResultsError, WorkerDiedError
 from magical.files import is_out_of_space
-from magical.processes import ProcessPool, available_cores
-from magical.tasks import with_tasks
+from magical.messages import for_terminal
+from magical.processes import available_cores
+from magical.runs.folder import CONFIG, differences, is_run, read_json, write_json
+from magical.runs.plan import PLAN, REFERENCES, RUNS
 from magical_baselines.compute import visible_gpus
-from magical_baselines.experiments.demonstrations import (
-    open_dataset,
-    prepare_demonstrations,
-    require_same_demonstrations,
-)
-from magical_baselines.experiments.display import Display
-from magical_baselines.experiments.one_run import (
-    evaluate_reference,
-    finish,
-    modules_of_run,
-    record_failure,
-    reference_folder,
-)
-from magical_baselines.experiments.plan import PlannedRun
-from magical_baselines.experiments.results import (
-    DONE,
-    FAILED,
-    Outcome,
-    Results,
-    opened,
-)
+from magical_baselines.experiments import one_run
+from magical_baselines.experiments.demonstrations import prepare_demonstrations
+from magical_baselines.experiments.one_run import NO_SPACE, Planned, modules_needed, write_failure
+from magical_baselines.experiments.plan import PlannedReference, PlannedRun
+from magical_baselines.experiments.status import DEMOS, DONE, FAILED, LOCK, read_result
 from magical_baselines.training import Interrupts
 
-TRIES = 3  # of a run that was ended by the cluster, not by its own failure
-POLL = 1.0  # seconds between checks for signals, and between refreshes of the display
+if TYPE_CHECKING:
+    from magical_baselines.experiments.cluster import RayTasks
+
+POLL = 0.2  # seconds between checks for signals
+# A run sets its number of threads; libraries that start one for each core only cost memory.
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
-class Executor(Protocol):
-    """A place where runs are executed."""
+class Processes:
+    """A process on this machine for each run, `count` at a time; they take turns on its GPUs.
 
-    def slots(self) -> int:
-        """How many runs can be in progress at a time."""
+    A process that is killed costs its run alone. All end with this process, however it ends.
+    """
 
-    def start(self, run: PlannedRun, demos: Path | None) -> Future[Outcome]:
-        """Start a run, which learns from the dataset `demos`."""
+    def __init__(self, count: int) -> None:
+        self._threads = ThreadPoolExecutor(count)
+        self._environs: SimpleQueue[Mapping[str, str]] = SimpleQueue()
+        gpus = [{"CUDA_VISIBLE_DEVICES": gpu} for gpu in visible_gpus()]
+        for environ in islice(cycle(gpus or [{}]), count):
+            self._environs.put(environ)
+        self._children: set[subprocess.Popen[bytes]] = set()
+        self._lock, self._stopped = Lock(), False
+
+    @classmethod
+    def for_runs(cls, runs: Sequence[PlannedRun], workers: int | None = None) -> "Processes":
+        """`workers` processes, by default as many as there are cores for the runs' threads."""
+        threads = max((run.config.threads for run in runs), default=1)
+        return cls(workers or max(1, available_cores() // threads))
+
+    def submit(self, work: Planned, folder: Path, demos: Path | None) -> "Future[None]":
+        """Call `one_run.finish` in a process; `WorkerDiedError` in the future if it is killed."""
+        message = pickle.dumps(modules_needed(work)) + pickle.dumps((work, folder, demos))
+        return self._threads.submit(self._run, message)
+
+    def _run(self, message: bytes) -> None:
+        environ = self._environs.get()
+        try:
+            with self._lock:
+                if self._stopped:
+                    return
+                child = _start(environ)
+                self._children.add(child)
+            with child, suppress(BrokenPipeError):
+                assert child.stdin is not None
+                child.stdin.write(message)
+                child.stdin.flush()  # and left open: its end tells the child that this process died
+                child.wait()
+            self._children.discard(child)
+        finally:
+            self._environs.put(environ)
+        if child.returncode == NO_SPACE:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        if child.returncode:
+            raise WorkerDiedError(f"its process {_end(child.returncode)}")
 
     def stop(self) -> None:
-        """Have the runs in progress save a checkpoint and end."""
+        """Start nothing more, and have runs in progress save a checkpoint and end, by SIGTERM."""
+        with self._lock:
+            self._stopped = True
+            for child in list(self._children):
+                child.terminate()
 
     def close(self) -> None:
         """End everything at once."""
+        self.stop()
+        for child in list(self._children):
+            child.kill()
+        self._threads.shutdown(cancel_futures=True)
 
 
-class LocalExecutor:
-    """Processes on this machine, by default as many as there are cores for their threads.
-
-    Each sees one of the machine's GPUs, if there are any; they take turns.
-    """
-
-    def __init__(self, runs: Sequence[PlannedRun], results: Results, workers: int | None) -> None:
-        threads = max((run.config.threads for run in runs), default=1)
-        self._workers = workers or max(1, available_cores() // threads)
-        self._results = results
-        gpus = [{"CUDA_VISIBLE_DEVICES": gpu} for gpu in visible_gpus()]
-        # No more processes than runs: they could be those of the same GPU.
-        self._pool = ProcessPool(min(self._workers, len(runs)), gpus or [{}])
-
-    def slots(self) -> int:
-        """The number of processes."""
-        return self._workers
-
-    def start(self, run: PlannedRun, demos: Path | None) -> Future[Outcome]:
-        """Start a run in a process."""
-        folder = self._results.folder(run)
-        work = with_tasks(partial(finish, folder=folder, demos=demos), modules_of_run(run))
-        return self._pool.submit(work, run)
-
-    def stop(self) -> None:
-        """Send SIGTERM."""
-        self._pool.terminate()
-
-    def close(self) -> None:
-        """End all processes."""
-        self._pool.close()
+def _start(environ: Mapping[str, str]) -> "subprocess.Popen[bytes]":
+    path = os.pathsep.join(str(Path(entry).absolute()) for entry in sys.path)
+    return subprocess.Popen(
+        [sys.executable, "-P", "-m", one_run.__name__],
+        stdin=subprocess.PIPE,
+        stdout=2,  # standard output is for results
+        env={**os.environ, **ONE_THREAD, **environ, "PYTHONPATH": path},
+        process_group=0 if sys.platform != "win32" else None,  # a terminal's Ctrl-C is ours
+    )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Resources:
-    """Where runs are executed, and with what.
-
-    Attributes:
-        executor: processes on this machine, or tasks of a Ray cluster.
-        address: the address of a Ray cluster; by default one running on this machine, or a new one.
-        workers: processes on this machine, local or of a new Ray cluster.
-        gpus: the share of a GPU that Ray reserves for each run.
-    """
-
-    executor: Literal["local", "ray"] = "local"
-    address: str | None = None
-    workers: int | None = None
-    gpus: float = 0.0
-
-
-@dataclass(frozen=True, slots=True)
-class Summary:
-    """How the runs of a plan ended.
-
-    Attributes:
-        out: the results folder.
-        counts: the number of runs by state: `done` and `failed`; the rest are not finished.
-        total: the number of runs in the plan.
-        interrupted: whether Ctrl-C or SIGTERM was received.
-    """
-
-    out: Path
-    counts: Counter[str]
-    total: int
-    interrupted: bool
-
-    @property
-    def complete(self) -> bool:
-        """Whether every run is done."""
-        return self.counts[DONE] == self.total
-
-    def __str__(self) -> str:
-        """One line for the command line."""
-        failed = self.counts[FAILED]
-        text = f"{self.out}: {self.counts[DONE]} of {self.total} runs done"
-        if failed:
-            text += f", {failed} failed (magical status {shlex.quote(str(self.out))} shows why; "
-            text += "--retry-failed reruns them)"
-        if self.counts[DONE] + failed < self.total:
-            text += "; run the same command again to continue with the others"
-        return text
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain data for JSON."""
-        return {
-            "out": str(self.out),
-            "runs": self.total,
-            "done": self.counts[DONE],
-            "failed": self.counts[FAILED],
-            "interrupted": self.interrupted,
-        }
+def _end(code: int) -> str:
+    if code > 0:
+        return f"ended with exit status {code}"
+    return f"was killed by signal {-code} ({signal.Signals(-code).name})"
 
 
 def execute(
     runs: Sequence[PlannedRun],
     out: Path,
-    resources: Resources = Resources(),
+    executor: "Processes | RayTasks",
     *,
-    references: Sequence[tuple[str, Evaluation]] = (),
+    references: Sequence[PlannedReference] = (),
+    workers: int = 1,
     retry_failed: bool = False,
     command: Sequence[str] = (),
-) -> Summary:
-    """Finish all runs that are not done yet, in a results folder.
-
-    Ctrl-C and SIGTERM leave checkpoints and return; a second one interrupts at once.
+) -> bool:
+    """Finish all runs that are not done yet, in a results folder; `executor` is closed.
 
     Args:
         runs: the runs of a plan.
         out: the results folder, new or of an earlier version of the plan.
-        resources: where to execute them.
-        references: the plan's reference policies; evaluated here, on cores that no run needs.
+        executor: where they are executed.
+        references: the plan's reference policies.
+        workers: processes that generate demonstrations.
         retry_failed: run failed runs again; they continue from their last checkpoint.
         command: the words of the command that does this, but for the folder, for `magical status`.
 
+    Returns:
+        Whether Ctrl-C or SIGTERM interrupted it; they leave checkpoints.
+
     Raises:
-        ResultsError: see `magical_baselines.experiments.results.opened`; or no space is left.
-        ClusterError: the Ray cluster cannot be reached.
+        ResultsError: the folder cannot be used for these runs, or no space is left.
+        ClusterError: the Ray cluster is lost.
         DatasetError, DemonstrationsError: no demonstrations to learn from, or too few.
     """
-    with Interrupts() as stop, opened(out, runs) as results:
-        states = {run: results.state(run) for run in runs}
-        require_same_demonstrations([run for run in runs if states[run] == DONE], results)
+    out = out.absolute()
+    with closing(executor), Interrupts() as stop, opened(out):
+        states = {run: planned_state(run, out) for run in runs}
         again = (None, FAILED) if retry_failed else (None,)
-        waiting = [run for run in runs if states[run] in again]
-        open_dataset(waiting, results)  # if it refuses the plan, the previous one stays listed
-        results.write_plan(runs, list(map(reference_folder, references)), command)
+        work: dict[Planned, Path] = {r: out / RUNS / r.folder for r in runs if states[r] in again}
 
         def go_on(_: int) -> None:
             if stop.seen:
                 raise _Interrupted
 
-        with suppress(_Interrupted), closing(_References(references, results, resources)) as others:
-            if waiting:
-                with closing(_executor(waiting, results, resources)) as executor:
-                    demos = prepare_demonstrations(waiting, results, resources.workers, go_on)
-                    with Display(out) as display:
-                        _finish_all(waiting, demos, results, executor, display, stop, others)
-            others.finish(go_on)
-        counts = Counter(filter(None, map(results.state, runs)))
-        return Summary(results.path, counts, len(runs), stop.seen)
+        listed = [asdict(run.listed()) for run in runs]
+        names = [each.folder for each in references]
+        write_json(out / PLAN, {"runs": listed, "references": names, "command": list(command)})
+        with suppress(_Interrupted):
+            demos = prepare_demonstrations(list(work), out, workers, go_on)
+            work |= {each: out / REFERENCES / each.folder for each in references}
+            _finish_all(work, demos, executor, stop)
+        return stop.seen
 
 
 class _Interrupted(Exception):
-    """A signal arrived outside training; what was generated or evaluated is kept."""
+    """A signal arrived while demonstrations were generated; those that are complete are kept."""
 
 
 def _finish_all(
-    runs: Sequence[PlannedRun],
+    work: Mapping[Planned, Path],
     demos: Path | None,
-    results: Results,
-    executor: Executor,
-    display: Display,
+    executor: "Processes | RayTasks",
     stop: Interrupts,
-    references: "_References",
 ) -> None:
-    waiting = deque(runs)
-    lost: Counter[PlannedRun] = Counter()
-    running: dict[Future[Outcome], PlannedRun] = {}
-    stopping = full = False  # full: no space is left
-    while running or (waiting and not (full or stop.seen)):
-        while waiting and not (full or stop.seen) and len(running) < executor.slots():
-            run = waiting.popleft()
-            running[executor.start(run, demos)] = run
-            results.write_progress(running.values(), executor.slots())
-        if not (waiting or stop.seen):
-            references.start(executor.slots() - len(running))
-        ended, _ = wait(running, POLL, FIRST_COMPLETED)
-        for future in ended:
-            run = running.pop(future)
-            outcome = _outcome(run, future, results, stopping or stop.seen)
-            full = full or outcome.state == "no space"
-            if outcome.state == "lost":
-                lost[run] += 1
-                if lost[run] >= TRIES:
-                    raise ClusterError(
-                        f"the cluster lost a run {TRIES} times, last with: {outcome.error}. No run "
-                        "failed by itself: repair the cluster, then run the same command again"
-                    )
-                waiting.append(run)
-            display.ended(run, outcome)
-            results.write_progress(running.values(), executor.slots())
-        display.refresh()
-        if (stop.seen or full) and not stopping:
-            stopping = True
+    ended: SimpleQueue[Future[None]] = SimpleQueue()
+    started = {executor.submit(each, folder, demos): each for each, folder in work.items()}
+    for future in started:
+        future.add_done_callback(ended.put)
+    left = len(started)
+    while left:
+        if stop.seen:
             executor.stop()
-    if full:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))  # `opened` says what to do
+        with suppress(Empty):
+            future = ended.get(timeout=POLL)
+            left -= 1
+            error = None if stop.seen else future.exception()
+            if line := _ending(started[future], work[started[future]], error):
+                count = f"{len(started) - left} of {len(started)}"
+                print(for_terminal(f"{line} ({count})"), file=sys.stderr)
 
 
-class _References:
-    """Reference policies, each evaluated in a process on this machine."""
+def _ending(work: Planned, folder: Path, error: BaseException | None) -> str:
+    """How a run or the evaluation of a reference policy has ended; empty if it was interrupted."""
+    if isinstance(error, ClusterError) or is_out_of_space(error):
+        raise error  # type: ignore[misc]  # everything else would fail, too
+    if isinstance(work, PlannedReference):
+        return f"{FAILED}: {work}: {error}" if error else f"{DONE}: {work}"
+    if error:
+        write_failure(work, folder, error)
+    record = read_result(folder)
+    why = f": {record['error']}" if "error" in record else ""
+    return f"{record['state']}: {work}{why}" if record else ""
 
-    def __init__(
-        self,
-        references: Sequence[tuple[str, Evaluation]],
-        results: Results,
-        resources: Resources,
-    ) -> None:
-        evaluate = partial(evaluate_reference, results=results.path)
-        self._waiting = deque(
-            (with_tasks(evaluate, modules), (name, evaluation))
-            for name, evaluation in references
-            for modules in [modules_for(BUILT_IN[name](), list(evaluation.by_task))]
+
+@contextmanager
+def opened(out: Path) -> Iterator[None]:
+    """Hold the lock of a results folder, which is created if missing.
+
+    Raises `ResultsError`: the folder holds other files; another process executes a plan in it; no
+    space is left on the device.
+    """
+    if out.exists() and not (out / PLAN).exists():
+        known = {RUNS, REFERENCES, DEMOS}  # of a plan that was killed
+        if not out.is_dir() or {path.name for path in out.glob("[!.]*")} - known:
+            raise ResultsError(
+                f"{out}: expected an empty folder, found other things; choose another"
+            )
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        with FileLock(out / LOCK, timeout=1):  # `magical status` takes it for a moment
+            yield
+    except Timeout as error:
+        raise ResultsError(f"{out}: another process runs a plan in it; wait, or stop it") from error
+    except OSError as error:
+        if is_out_of_space(error):
+            then = "free some space, then run the same command again"
+            raise ResultsError(f"{out}: no space left on the device; {then}") from error
+        raise
+
+
+def planned_state(run: PlannedRun, out: Path) -> str | None:
+    """`done`, `failed`, or `None` for a run that has not been finished in a results folder.
+
+    Raises `ResultsError` if its folder holds a run with other settings, or a damaged record.
+    """
+    folder = out / RUNS / run.folder
+    result, different = read_result(folder), ""
+    if result:
+        different = differences(_flat(run.settings()), _flat(result["settings"]))
+    elif is_run(folder):
+        different = differences(run.config.to_dict(), read_json(folder / CONFIG))
+    if different:
+        raise ResultsError(
+            f"{folder} holds a run with other settings: {different}; choose another folder "
+            "(--out), or remove this one to do the run again"
         )
-        self._started: dict[Future[None], str] = {}
-        self._pool = ProcessPool(min(resources.workers or available_cores(), len(references)))
-
-    def start(self, slots: int) -> None:
-        """Start evaluations until there are as many in progress as slots."""
-        free = slots - sum(not future.done() for future in self._started)
-        for _ in range(min(free, len(self._waiting))):
-            work, reference = self._waiting.popleft()
-            self._started[self._pool.submit(work, reference)] = reference_folder(reference)
-
-    def finish(self, progress: Callable[[int], None]) -> None:
-        """Evaluate the rest; `progress` is called meanwhile, and may raise."""
-        self.start(len(self._started) + len(self._waiting))
-        while not all(future.done() for future in self._started):
-            progress(0)
-            wait(self._started, POLL)
-        for future, name in self._started.items():
-            try:
-                future.result()
-            except WorkerDiedError as error:
-                raise WorkerDiedError(
-                    f"{error} while it evaluated {name}, all else is done; run the same command "
-                    "again"
-                ) from error
-
-    def close(self) -> None:
-        """End what is in progress."""
-        self._pool.close()
+    return result.get("state")
 
 
-def _outcome(run: PlannedRun, future: Future[Outcome], results: Results, stopping: bool) -> Outcome:
-    """How a run ended; a process that died is recorded as a failure unless it was told to end."""
-    error = future.exception()
-    if error is None:
-        return future.result()
-    if stopping:
-        return Outcome("interrupted")
-    if not isinstance(error, Exception):
-        raise error
-    if is_out_of_space(error):
-        return Outcome("no space", error=str(error))
-    return Outcome("failed", error=record_failure(run, results.folder(run), error))
-
-
-def _executor(runs: Sequence[PlannedRun], results: Results, resources: Resources) -> Executor:
-    if resources.executor == "ray":
-        from magical_baselines.experiments.ray_cluster import RayExecutor  # an optional library
-
-        return RayExecutor(runs, results, resources.address, resources.workers, resources.gpus)
-    return LocalExecutor(runs, results, resources.workers)
+def _flat(settings: Mapping[str, Any]) -> dict[str, Any]:
+    config = settings["config"]  # `differences` ignores its demos, which are a path elsewhere
+    return {**settings, **config, "config": None, "demonstrations": config.get("demos")}

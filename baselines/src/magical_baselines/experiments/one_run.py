@@ -1,67 +1,85 @@
-"""One run of a plan: training, evaluation, final record. Executed in a process of its own."""
+"""One run of a plan: training, evaluation, final record; as a program, in a process of its own."""
 
+import errno
+import os
+import pickle
+import sys
 import time
 import traceback
-from collections.abc import Mapping
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
+from threading import Thread
 from typing import Any
+
+from filelock import FileLock
 
 from magical.errors import MagicalError, ScoresError
 from magical.evaluation import BUILT_IN, Entry, read_entry
-from magical.evaluation.entry import ENTRY_FILE, SCORES_FILE
 from magical.evaluation.protocol import Evaluation
 from magical.evaluation.provenance import evaluation_details
 from magical.evaluation.rollouts import modules_for, roll_out
-from magical.files import is_out_of_space, remove_partial_files
+from magical.files import is_out_of_space
 from magical.messages import printable
 from magical.runs.folder import write_json
 from magical.runs.machine import provenance, source_commit
-from magical.runs.plan import REFERENCES, RESULT
+from magical.runs.plan import RESULT
+from magical.tasks import load_tasks
 from magical_baselines import is_run, load_policy, train
 from magical_baselines.config import DemonstrationConfig, modules_of
-from magical_baselines.experiments.plan import PlannedRun
-from magical_baselines.experiments.results import DONE, FAILED, Outcome
+from magical_baselines.experiments.plan import PlannedReference, PlannedRun
+from magical_baselines.experiments.status import DONE, FAILED, lock_of
 
-MAX_ERROR = 2_000  # characters of a recorded message
-MAX_TRACEBACK = 20_000  # and of a traceback, whose end is kept
+MAX_ERROR, MAX_TRACEBACK = 2_000, 20_000  # characters that are recorded
+NO_SPACE = errno.ENOSPC  # exit status of a process: the disk is full
+PATIENCE = 30.0  # seconds for a run to end whose plan was killed
 
-
-def modules_of_run(run: PlannedRun) -> list[str]:
-    """The modules that a process must import before it calls `finish`."""
-    return [*modules_of(run.config), *modules_for(None, run.tasks)]
+Planned = PlannedRun | PlannedReference
 
 
-def finish(run: PlannedRun, folder: Path, demos: Path | None) -> Outcome:
+def modules_needed(work: Planned) -> list[str]:
+    """The users' modules that a process must import before it calls `finish`."""
+    if isinstance(work, PlannedRun):
+        return [*modules_of(work.config), *modules_for(None, work.tasks)]
+    return modules_for(BUILT_IN[work.policy](), list(work.evaluation.by_task))
+
+
+def finish(work: Planned, folder: Path, demos: Path | None = None) -> None:
     """Train on the dataset `demos`, or resume; evaluate; write `result.json` last.
 
-    An error is recorded in `result.json` and returned, not raised; if no space is left, it is only
-    returned.
+    Without `result.json`, the run was interrupted by Ctrl-C or SIGTERM, and has left a checkpoint.
+    An error is recorded there, and not raised, but for a full disk. Of a reference policy there is
+    only the evaluation, and errors are raised.
     """
-    start = time.perf_counter()
-    source_commit()  # now: the source may change while the run is in progress
-    try:
+    if isinstance(work, PlannedReference):
+        evaluate_reference(work, folder)
+        return
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with FileLock(lock_of(folder), timeout=PATIENCE):
+        source_commit()  # now: the source may change while the run is in progress
         (folder / RESULT).unlink(missing_ok=True)
-        remove_partial_files(folder, RESULT, SCORES_FILE, ENTRY_FILE)
-        seconds = _train_and_evaluate(run, folder, demos)
-        if seconds is None:
-            return Outcome("interrupted", time.perf_counter() - start)
-        write_result(run, folder, state=DONE, seconds=seconds)
-    except Exception as error:
-        if is_out_of_space(error):
-            return Outcome("no space", time.perf_counter() - start, str(error))
-        return Outcome("failed", time.perf_counter() - start, record_failure(run, folder, error))
-    return Outcome("done", time.perf_counter() - start)
+        try:
+            config, start = work.config, time.perf_counter()
+            if demos and isinstance(config, DemonstrationConfig):
+                config = config.replace(demos=str(demos))
+            if train(config, folder, resume=is_run(folder)).interrupted:
+                return
+            trained = time.perf_counter()
+            evaluate_run(work, folder, folder, work.evaluation)
+            times = {"training": trained - start, "evaluation": time.perf_counter() - trained}
+            write_result(work, folder, state=DONE, seconds=times)
+        except Exception as error:
+            if is_out_of_space(error):
+                raise
+            write_failure(work, folder, error)
 
 
-def record_failure(run: PlannedRun, folder: Path, error: Exception) -> str:
-    """Write a failed run's final record; returns the message in it."""
+def write_failure(run: PlannedRun, folder: Path, error: BaseException) -> None:
+    """Write the final record of a run that failed."""
     kind = "" if isinstance(error, MagicalError) else f"{type(error).__name__}: "
-    message = printable(f"{kind}{error}", MAX_ERROR)
     text = "".join(traceback.format_exception(error))[-MAX_TRACEBACK:]
+    message = printable(f"{kind}{error}", MAX_ERROR)
     write_result(run, folder, state=FAILED, error=message, traceback=text)
-    return message
 
 
 def write_result(run: PlannedRun, folder: Path, **result: Any) -> None:
@@ -71,7 +89,6 @@ def write_result(run: PlannedRun, folder: Path, **result: Any) -> None:
         "tasks": list(run.tasks),
         "seed": run.seed,
         "preset": run.preset,
-        "identity": run.identity,
         "settings": run.settings(),
         "finished": f"{datetime.now(UTC):%FT%TZ}",
         **provenance(),
@@ -79,31 +96,10 @@ def write_result(run: PlannedRun, folder: Path, **result: Any) -> None:
     write_json(folder / RESULT, {**result, **facts})
 
 
-def _train_and_evaluate(
-    run: PlannedRun, folder: Path, demos: Path | None
-) -> Mapping[str, float] | None:
-    """The seconds of training and evaluation; `None` if training was interrupted."""
-    config = run.config
-    if demos is not None and isinstance(config, DemonstrationConfig):
-        config = config.replace(demos=str(demos))
-    start = time.perf_counter()
-    resume = is_run(folder)
-    result = train(config, folder, resume=resume)
-    if result.interrupted:
-        return None
-    trained = time.perf_counter()
-    evaluate_run(run, folder, folder, run.evaluation)
-    return {"training": trained - start, "evaluation": time.perf_counter() - trained}
-
-
 def evaluate_run(run: PlannedRun, folder: Path, out: Path, evaluation: Evaluation) -> None:
-    """Evaluate a run's trained policy, and write `scores.csv` and `entry.json`.
+    """Evaluate the trained policy in a run's folder; write `scores.csv` and `entry.json` to `out`.
 
-    Args:
-        run: the run of a plan.
-        folder: its folder, with a checkpoint.
-        out: where the files are written: the folder, or a subfolder.
-        evaluation: how the policy is evaluated; it may differ from the run's own evaluation.
+    `evaluation` may differ from the run's own.
     """
     from magical_baselines.compute import cpu_threads
 
@@ -117,29 +113,40 @@ def evaluate_run(run: PlannedRun, folder: Path, out: Path, evaluation: Evaluatio
     Entry.of(policy, evaluation, method=run.method, scores=scores, details=details).write(out)
 
 
-def reference_folder(reference: tuple[str, Evaluation]) -> str:
-    """The name of the folder of a built-in policy's entry on a task."""
-    name, evaluation = reference
-    return f"{name}-{evaluation.env_ids[0].task}"
-
-
-def evaluate_reference(reference: tuple[str, Evaluation], results: Path) -> None:
-    """Evaluate a built-in policy on a task, unless the results folder has its entry already."""
-    name, evaluation = reference
+def evaluate_reference(reference: PlannedReference, folder: Path) -> None:
+    """Evaluate a built-in policy on a task, unless the folder has its entry already."""
+    name, evaluation = reference.policy, reference.evaluation
     policy = BUILT_IN[name]()
-    folder = results / REFERENCES / reference_folder(reference)
     details = evaluation_details(policy, name, folder)
     entry = Entry.of(policy, evaluation, method=name, details=details)
-    if not _is_entry_of(folder, entry, evaluation):
-        replace(entry, scores=roll_out(policy, evaluation, workers=0)).write(folder)
-
-
-def _is_entry_of(folder: Path, entry: Entry, evaluation: Evaluation) -> bool:
-    """Whether a folder holds the entry of this evaluation, by this version of the package."""
     try:
         found = read_entry(folder)
+        done = {(row.env_id, row.rollout) for row in found.scores}
+        wanted = {(env_id, i) for env_id in evaluation.env_ids for i in range(evaluation.rollouts)}
+        if done == wanted and replace(found, scores=(), details=details) == entry:
+            return
     except ScoresError:
-        return False
-    rollouts = len(found.scores) == evaluation.rollouts * len(evaluation.env_ids)
-    ids = {row.env_id for row in found.scores} == set(evaluation.env_ids)
-    return rollouts and ids and replace(found, scores=(), details=entry.details) == entry
+        pass
+    replace(entry, scores=roll_out(policy, evaluation, workers=0)).write(folder)
+
+
+def main() -> None:
+    """Finish what the parent process has pickled to standard input, and end when it does."""
+    load_tasks(pickle.load(sys.stdin.buffer))  # noqa: S301  (our own parent's)
+    work, folder, demos = pickle.load(sys.stdin.buffer)  # noqa: S301
+    Thread(target=_end_with_parent, daemon=True).start()
+    try:
+        finish(work, folder, demos)
+    except Exception as error:
+        if is_out_of_space(error):
+            sys.exit(NO_SPACE)
+        raise
+
+
+def _end_with_parent() -> None:
+    os.read(sys.stdin.fileno(), 1)  # the parent writes no more, but its end closes the pipe
+    os._exit(1)
+
+
+if __name__ == "__main__":
+    main()

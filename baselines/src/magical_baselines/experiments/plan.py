@@ -4,9 +4,8 @@ docs/experiments.md describes the files of plans, which have the fields of `Plan
 keys.
 """
 
-import hashlib
 import json
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from importlib.resources import files
@@ -33,7 +32,6 @@ from magical_baselines.config import DemonstrationConfig, options, references
 PLANS = Path(str(files("magical_baselines"))) / "plans"  # those of this package
 EXPERT = "expert"  # as `demos`: demonstrations of the scripted experts, generated for the plan
 DATASET = "dataset"  # in records: demonstrations from a folder, without its path
-DIGITS = 10  # hexadecimal digits of a run's identity
 MAX_RUNS = 100_000
 OF_THE_PLAN = ("tasks", "seed", "demos")  # settings that a method cannot change
 
@@ -46,22 +44,14 @@ Seed = Annotated[int, Meta(ge=0, le=2**31 - 1)]
 class Method:
     """One row of the tables: an algorithm with its settings.
 
-    Attributes:
-        name: the row's name; a row named as in the published tables is shown next to theirs.
-        algorithm: for instance `bc`.
-        preset: the preset of the algorithm's configuration; empty for the plan's.
-        multi_task: one run learns all tasks of the plan, instead of a run for each task.
-        settings: fields of the configuration that differ from the preset.
-
-    Raises:
-        PlanError: an empty or unprintable name, or an unknown algorithm or setting.
+    Raises `PlanError`: an empty or unprintable name, or an unknown algorithm or setting.
     """
 
-    name: Annotated[str, Meta(max_length=100)]
+    name: Annotated[str, Meta(max_length=100)]  # a published row's name shows both side by side
     algorithm: str
-    preset: str = ""
-    multi_task: bool = False
-    settings: dict[str, Any] = field(default_factory=dict)
+    preset: str = ""  # of the algorithm's configuration; empty for the plan's
+    multi_task: bool = False  # one run learns all tasks of the plan, instead of one for each task
+    settings: dict[str, Any] = field(default_factory=dict)  # that differ from the preset
 
     def __post_init__(self) -> None:
         if not self.name.strip() or not self.name.isprintable():
@@ -82,45 +72,25 @@ class Method:
 class Plan:
     """A grid of runs: methods x tasks x seeds; a multi-task method has one run for each seed.
 
-    Attributes:
-        methods: the rows of the tables.
-        tasks: the tasks' names.
-        seeds: the seeds of training; each also chooses the run's demonstrations.
-        demos: `expert`, or a folder with a dataset.
-        add_expert: add the scripted experts' demonstrations to the folder's.
-        num_demos: demonstrations of each task that a run learns from.
-        expert_demos: expert demonstrations generated for each task, to choose from.
-        perturb: the share of their control steps that have a random action.
-        min_score: expert demonstrations that score less are dropped, and others generated.
-        preset: the preset of methods that name none.
-        threads: CPU threads of each run. Scores are equal only for the same number, so it belongs
-            to the plan, not to the machine.
-        rollouts: the number of rollouts on each variant.
-        variants: each task is evaluated on those that it has; empty for all.
-        horizon: the horizon of evaluation, in any form that `magical.tasks.parse_horizon` takes.
-        nudge: the nudge of evaluation, see `Evaluation`.
-        references: built-in policies that are evaluated too, such as `expert`.
-
-    Raises:
-        PlanError: unknown names, values out of range, or the same name twice.
+    Raises `PlanError`: unknown names, values out of range, or the same name twice.
     """
 
     methods: Annotated[tuple[Method, ...], AtLeastOne]
     tasks: Annotated[tuple[str, ...], AtLeastOne] = field(default_factory=lambda: tuple(TASKS))
-    seeds: Annotated[tuple[Seed, ...], AtLeastOne] = (0,)
-    demos: str = EXPERT
-    add_expert: bool = False
-    num_demos: Count = 10
-    expert_demos: Count = 25
-    perturb: float = 0.0
-    min_score: Annotated[float, Meta(ge=0, le=1)] = 0.0
-    preset: str = "paper"
-    threads: Count = 1
-    rollouts: Count = ROLLOUTS
-    variants: tuple[str, ...] = ()
-    horizon: int | str | None = None
-    nudge: float = 0.0
-    references: tuple[str, ...] = ()
+    seeds: Annotated[tuple[Seed, ...], AtLeastOne] = (0,)  # each also chooses demonstrations
+    demos: str = EXPERT  # or a folder with a dataset
+    add_expert: bool = False  # add the scripted experts' demonstrations to the folder's
+    num_demos: Count = 10  # of each task, that a run learns from
+    expert_demos: Count = 25  # generated for each task, to choose from
+    perturb: float = 0.0  # share of their control steps with a random action
+    min_score: Annotated[float, Meta(ge=0, le=1)] = 0.0  # those that score less are dropped
+    preset: str = "paper"  # of methods that name none
+    threads: Count = 1  # CPU threads of each run; scores are equal only for the same number
+    rollouts: Count = ROLLOUTS  # on each variant
+    variants: tuple[str, ...] = ()  # each task is evaluated on those that it has; empty for all
+    horizon: int | str | None = None  # of evaluation, as `magical.tasks.parse_horizon` takes it
+    nudge: float = 0.0  # of evaluation
+    references: tuple[str, ...] = ()  # built-in policies that are evaluated too, such as `expert`
 
     def __post_init__(self) -> None:
         with _plan_errors():
@@ -161,11 +131,7 @@ def _require_each_once(key: str, values: Sequence[Any]) -> None:
 
 
 def find_plan(name: str) -> Path:
-    """The file of one of this package's plans, such as `quick`, or the file at a path.
-
-    Raises:
-        PlanError: there is neither.
-    """
+    """The file of a plan of this package, such as `quick`, or at a path; or a `PlanError`."""
     for path in (PLANS / f"{name}.toml", Path(name)):
         if path.is_file():
             return path
@@ -174,16 +140,10 @@ def find_plan(name: str) -> Path:
 
 
 def read_plan(path: Path, demos: str | None = None) -> Plan:
-    """Read a plan from a TOML file.
+    """Read a plan from a TOML file; `demos` replaces the file's.
 
-    Args:
-        path: the file.
-        demos: replaces the file's `demos`.
-
-    Raises:
-        PlanError: not TOML, unknown names, values of other types, settings that cannot be combined,
-            or the same run twice.
-        MissingDependencyError: PyTorch is not installed.
+    Raises `PlanError`: not TOML, unknown names, values of other types, settings that cannot be
+    combined, or the same run twice.
     """
     plan = read_toml(path, Plan, PlanError)
     try:
@@ -196,19 +156,12 @@ def read_plan(path: Path, demos: str | None = None) -> Plan:
 
 @dataclass(frozen=True, slots=True)
 class DemonstrationSource:
-    """Where a run's demonstrations are sampled from; by default there are none.
+    """Where a run's demonstrations are sampled from; by default there are none."""
 
-    Attributes:
-        dataset: whether they come from the user's dataset.
-        expert_demos: the number of expert demonstrations generated for each task; `None` for none.
-        perturb: the share of these demonstrations' control steps that have a random action.
-        min_score: the lowest score that these may have.
-    """
-
-    dataset: bool = False
-    expert_demos: int | None = None
-    perturb: float = 0.0
-    min_score: float = 0.0
+    dataset: bool = False  # whether they come from the user's dataset
+    expert_demos: int | None = None  # generated for each task; `None` for none
+    perturb: float = 0.0  # share of the experts' control steps that have a random action
+    min_score: float = 0.0  # the lowest score that the experts' may have
 
     @property
     def kind(self) -> str:
@@ -223,34 +176,19 @@ class DemonstrationSource:
 
     def __str__(self) -> str:
         """Such as `dataset`, or `expert, perturb 0.2`."""
-        how = (f"{name} {value:g}" for name, value in self.generation.items())
-        return ", ".join([self.kind, *how])
-
-    def settings(self) -> dict[str, Any]:
-        """What scores depend on in addition to the kind."""
-        return {"expert_demos": self.expert_demos, **self.generation}
+        return ", ".join([self.kind, *(f"{key} {x:g}" for key, x in self.generation.items())])
 
 
 @dataclass(frozen=True, slots=True)
 class PlannedRun:
-    """One training run of a plan, and its evaluation.
+    """One training run of a plan, and its evaluation."""
 
-    Attributes:
-        method: the method's name.
-        preset: the preset that `config` was made from.
-        config: the training configuration. Its `demos` is the plan's; the folder is known only when
-            the run is started.
-        source: the source of the demonstrations.
-        evaluation: how the policy is evaluated.
-        variants: the variants of the evaluation as the plan names them; empty for all.
-    """
-
-    method: str
-    preset: str
-    config: Config
+    method: str  # its name
+    preset: str  # that `config` was made from
+    config: Config  # its `demos` is the plan's; the folder is known only when the run is started
     source: DemonstrationSource
     evaluation: Evaluation
-    variants: tuple[str, ...] = ()
+    variants: tuple[str, ...] = ()  # of the evaluation, as the plan names them; empty for all
 
     @property
     def tasks(self) -> tuple[str, ...]:
@@ -263,17 +201,9 @@ class PlannedRun:
         return self.config.seed
 
     @property
-    def identity(self) -> str:
-        """A digest of the method's name and of everything that the scores depend on."""
-        text = json.dumps({"method": self.method, **self.settings()}, sort_keys=True)
-        return hashlib.sha256(text.encode()).hexdigest()[:DIGITS]
-
-    @property
     def folder(self) -> str:
-        """The name of the run's folder: readable, and different for different settings."""
-        tasks = self.tasks[0] if len(self.tasks) == 1 else "multi-task"
-        name = f"{file_name(self.method)}-{tasks}-seed{self.seed}-{self.identity}"
-        return name.lstrip("-")
+        """The name of the run's folder."""
+        return folder_name(self.method, self.tasks, self.seed)
 
     def listed(self) -> ListedRun:
         """The run as `plan.json` lists it."""
@@ -294,14 +224,36 @@ class PlannedRun:
             "horizon": self.evaluation.horizon or "appendix",
             "nudge": self.evaluation.nudge,
         }
-        return {"config": config, **self.source.settings(), "evaluation": evaluation}
+        source = {"expert_demos": self.source.expert_demos, **self.source.generation}
+        return {"config": config, **source, "evaluation": evaluation}
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedReference:
+    """The evaluation of a built-in policy on one task, beside the runs of a plan."""
+
+    policy: str
+    evaluation: Evaluation
+
+    @property
+    def folder(self) -> str:
+        """The name of its folder, such as `expert-MoveToCorner`."""
+        return f"{self.policy}-{self.evaluation.env_ids[0].task}"
+
+    def __str__(self) -> str:
+        return f"{self.policy}, {self.evaluation.env_ids[0].task}"
+
+
+def folder_name(method: str, tasks: Sequence[str], seed: int) -> str:
+    """The name of a run's folder, such as `bc-st-MoveToCorner-seed0`."""
+    of = tasks[0] if len(tasks) == 1 else "multi-task"
+    return f"{file_name(method)}-{of}-seed{seed}".lstrip("-")
 
 
 def planned_runs(plan: Plan) -> list[PlannedRun]:
     """Every run of a plan, by method, then task, then seed.
 
-    Raises:
-        PlanError: a method's settings are invalid, or two runs are the same.
+    Raises `PlanError`: a method's settings are invalid, or two runs are the same.
     """
     runs: list[PlannedRun] = []
     for number, method in enumerate(plan.methods):
@@ -312,14 +264,23 @@ def planned_runs(plan: Plan) -> list[PlannedRun]:
             except MagicalError as error:
                 raise PlanError(f"methods[{number}] ({method.name}): {error}") from error
             runs += [replace(first, config=replace(first.config, seed=s)) for s in plan.seeds]
-    _require_distinct(runs)
+    folders: dict[str, PlannedRun] = {}
+    settings: dict[str, PlannedRun] = {}
+    for run in runs:
+        if (same := folders.setdefault(run.folder, run)) is not run:
+            raise PlanError(
+                "methods: expected names that differ in letters or digits, found "
+                f"{quoted(same.method)} and {quoted(run.method)}"
+            )
+        if (same := settings.setdefault(json.dumps(run.settings()), run)) is not run:
+            raise PlanError(f"expected each run once, found the same settings twice: {same}; {run}")
     return runs
 
 
-def planned_references(plan: Plan) -> list[tuple[str, Evaluation]]:
-    """A plan's reference policies, and how they are evaluated: one task at a time."""
-    evaluations = [planned_evaluation(plan, (task,)) for task in plan.tasks]
-    return [(name, evaluation) for name in plan.references for evaluation in evaluations]
+def planned_references(plan: Plan) -> list[PlannedReference]:
+    """A plan's reference policies, one task at a time."""
+    evaluations = [_evaluation(plan, (task,)) for task in plan.tasks]
+    return [PlannedReference(name, each) for name in plan.references for each in evaluations]
 
 
 def _planned_run(plan: Plan, method: Method, tasks: tuple[str, ...]) -> PlannedRun:
@@ -343,15 +304,12 @@ def _planned_run(plan: Plan, method: Method, tasks: tuple[str, ...]) -> PlannedR
     source = DemonstrationSource()
     if isinstance(config, DemonstrationConfig):
         source = _source(plan, tasks, config.num_demos)
-    evaluation = planned_evaluation(plan, tasks)
+    evaluation = _evaluation(plan, tasks)
     return PlannedRun(method.name, preset, config, source, evaluation, plan.variants)
 
 
-def planned_evaluation(plan: Plan, tasks: Sequence[str]) -> Evaluation:
-    """How a plan's runs on some tasks are evaluated.
-
-    Raises `UnknownNameError` for a task that has none of the plan's variants.
-    """
+def _evaluation(plan: Plan, tasks: Sequence[str]) -> Evaluation:
+    """How runs on some tasks are evaluated; `UnknownNameError` if one has none of the variants."""
     return Evaluation(
         env_ids=tuple(environments(tasks, plan.variants or None)),
         rollouts=plan.rollouts,
@@ -364,9 +322,7 @@ def _source(plan: Plan, tasks: Sequence[str], num_demos: int) -> DemonstrationSo
     """Where a run's `num_demos` demonstrations of each task come from."""
     dataset = plan.demos != EXPERT
     if plan.add_expert and not dataset:
-        raise PlanError(
-            f"add_expert: expected demos, or --demos, to be a folder with a dataset, found {EXPERT}"
-        )
+        raise PlanError(f"add_expert: expected demos, or --demos, to be a folder, found {EXPERT}")
     if dataset and not plan.add_expert:
         for name in ("perturb", "min_score"):
             if getattr(plan, name):
@@ -382,11 +338,3 @@ def _source(plan: Plan, tasks: Sequence[str], num_demos: int) -> DemonstrationSo
             f"expert_demos: expected at least num_demos, {num_demos}, found {plan.expert_demos}"
         )
     return DemonstrationSource(dataset, plan.expert_demos, plan.perturb, plan.min_score)
-
-
-def _require_distinct(runs: Iterable[PlannedRun]) -> None:
-    seen: dict[str, PlannedRun] = {}
-    for run in runs:
-        same = seen.setdefault(json.dumps(run.settings(), sort_keys=True), run)
-        if same is not run:
-            raise PlanError(f"expected each run once, found the same settings twice: {same}; {run}")

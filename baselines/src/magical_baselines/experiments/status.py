@@ -1,70 +1,56 @@
-"""The progress of a plan's runs, from the files of a results folder alone."""
+"""The states of a plan's runs, from the files of its results folder alone (docs/experiments.md).
 
+- `plan.json`: the runs of the plan, in its order
+- `demos/`: demonstrations generated for the plan
+- `references/POLICY-TASK/`: the entry of a reference policy
+- `runs/FOLDER/`: a run's folder, with its entry and last of all `result.json`
+- `runs/.FOLDER.lock`: locked while the run is in progress
+"""
+
+import shlex
 from collections import Counter
 from dataclasses import asdict, dataclass
-from operator import itemgetter
 from pathlib import Path
-from statistics import mean
 from typing import Any
 
-from magical.errors import ResultsError, RunFolderError
-from magical.files import LOCK, is_locked
-from magical.grouping import group_by
-from magical.runs.metrics import read_metrics
-from magical.runs.plan import MAX_BYTES, RUNS, ListedRun, read_listing
-from magical.untrusted import read_json
-from magical_baselines.experiments.results import (
-    DONE,
-    EXPERIMENT,
-    FAILED,
-    PROGRESS,
-    WAITING,
-    RunsInProgress,
-    is_results,
-    read_result,
-    run_folders,
-)
+from filelock import FileLock, Timeout
 
-RUNNING = "running"
+from magical.errors import ResultsError, RunFolderError
+from magical.evaluation.entry import ENTRY_FILE
+from magical.messages import printable, quoted
+from magical.runs.metrics import read_metrics
+from magical.runs.plan import PLAN, REFERENCES, RESULT, RUNS, ListedRun, read_listing
+from magical.untrusted import read_json
+
+DEMOS, LOCK = "demos", ".lock"  # in the results folder
+DONE, FAILED = "done", "failed"  # states in `result.json`
+RUNNING, WAITING = "running", "waiting"  # a run without `result.json`, in progress or not
 STATES = (DONE, FAILED, RUNNING, WAITING)
 
 
 @dataclass(frozen=True, slots=True)
 class RunStatus(ListedRun):
-    """The progress of one run.
+    """The progress of one run."""
 
-    Attributes:
-        state: one of `STATES`; an interrupted run is `waiting`.
-        step: batches or updates done, from the newest line of metrics; 0 for a run that has ended.
-        seconds: how long the last session of training and the evaluation took, if it is done.
-        error: the message, if it failed.
-    """
+    state: str  # one of `STATES`; an interrupted run is `waiting`
+    step: int = 0  # batches or updates done, from the newest line of metrics
+    error: str = ""  # the message, if it failed
 
-    state: str
-    step: int
-    seconds: float | None = None
-    error: str = ""
+    @property
+    def progress(self) -> str:
+        """An error, or how far training is."""
+        return f"{self.step:,} of {self.total:,}" if self.step else self.error
 
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """The progress of a plan.
-
-    Attributes:
-        path: the results folder.
-        active: whether a process is executing the plan.
-        slots: how many runs it executes at a time.
-        runs: every run, in the plan's order.
-        others: the number of runs in the folder that are no longer in the plan.
-        command: the words of the command that continues the plan, but for the folder.
-    """
+    """The progress of a plan."""
 
     path: Path
-    active: bool
-    slots: int
-    runs: tuple[RunStatus, ...]
-    others: int
-    command: tuple[str, ...] = ()
+    active: bool  # whether a process is executing the plan
+    runs: tuple[RunStatus, ...]  # in the plan's order
+    references: int  # the number of reference policies that are not evaluated yet
+    command: tuple[str, ...] = ()  # that continues the plan, but for the folder
 
     @property
     def counts(self) -> Counter[str]:
@@ -72,29 +58,22 @@ class Status:
         return Counter(run.state for run in self.runs)
 
     @property
-    def steps(self) -> tuple[int, int]:
-        """The steps of training that are done, and all, of the runs that have not failed."""
-        runs = [run for run in self.runs if run.state != FAILED]
-        done = sum(run.total if run.state == DONE else run.step for run in runs)
-        return done, sum(run.total for run in runs)
+    def complete(self) -> bool:
+        """Whether everything is done."""
+        return self.counts[DONE] == len(self.runs) and not self.references
 
-    def seconds_left(self) -> float | None:
-        """An estimate from the times of finished runs; `None` while there are none.
-
-        A run is expected to take the mean of its method's finished runs, or of all.
-        """
-        times = [(run.method, run.seconds) for run in self.runs if run.seconds is not None]
-        if not times:
-            return None
-        overall = mean(seconds for _, seconds in times)
-        groups = group_by(times, itemgetter(0)).items()
-        means = {method: mean(seconds for _, seconds in group) for method, group in groups}
-        left = [
-            means.get(run.method, overall) * (1 - run.step / max(1, run.total))
-            for run in self.runs
-            if run.state in (RUNNING, WAITING)
-        ]
-        return max([sum(left) / max(1, self.slots), *left])
+    def __str__(self) -> str:
+        """One line: what is done, and what to do about the rest."""
+        counts = self.counts
+        text = f"{self.path}: {counts[DONE]} of {len(self.runs)} runs done"
+        text += "".join(f", {counts[state]} {state}" for state in STATES[1:] if counts[state])
+        if self.references:
+            text += f", {self.references} reference policies left to evaluate"
+        if self.active or self.complete:
+            return text
+        words = [*(self.command or ("run", "PLAN")), "--out", str(self.path)]
+        again = ["--retry-failed"] * (counts[FAILED] > 0)
+        return f"{text}; to continue: {printable(shlex.join(['magical', *words, *again]), 2_000)}"
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for JSON."""
@@ -103,54 +82,61 @@ class Status:
             "active": self.active,
             "runs": len(self.runs),
             **{state: self.counts[state] for state in STATES},
-            "others": self.others,
-            "seconds_left": self.seconds_left(),
-            "failures": {run.folder: run.error for run in self.runs if run.state == FAILED},
+            "plan": [asdict(run) for run in self.runs],
         }
 
 
 def read_status(folder: Path | str) -> Status:
-    """Read the progress of a plan without disturbing its execution.
+    """Read the progress of a plan in a results folder, without disturbing its execution.
 
-    Args:
-        folder: the results folder.
-
-    Raises:
-        ResultsError: not a results folder, or a damaged one.
+    Raises `ResultsError`: not a results folder, or a damaged one.
     """
     path = Path(folder)
-    if not is_results(path):
-        raise ResultsError(
-            f"{path}: expected a results folder with {EXPERIMENT} (`magical run PLAN --out DIR` "
-            "makes one), found none"
-        )
-    active = is_locked(path / LOCK)
-    progress = RunsInProgress()
-    if active and (path / PROGRESS).exists():
-        progress = read_json(path / PROGRESS, RunsInProgress, ResultsError, max_bytes=MAX_BYTES)
+    if not (path / PLAN).is_file():
+        raise ResultsError(f"{path}: expected a results folder of `magical run`, found no {PLAN}")
     listing = read_listing(path)
-    runs = tuple(_run_status(path, run, run.folder in progress.running) for run in listing.runs)
-    others = {folder.name for folder in run_folders(path)} - {run.folder for run in runs}
-    return Status(path, active, progress.slots, runs, len(others), listing.command)
+    runs = tuple(_status(path / RUNS / run.folder, run) for run in listing.runs)
+    entries = (path / REFERENCES / name / ENTRY_FILE for name in listing.references or ())
+    left = sum(not entry.is_file() for entry in entries)
+    return Status(path, is_locked(path / LOCK), runs, left, listing.command)
 
 
-def _run_status(path: Path, run: ListedRun, running: bool) -> RunStatus:
-    folder = path / RUNS / run.folder
-    step = 0
+def _status(folder: Path, run: ListedRun) -> RunStatus:
     try:
-        if run.damage:
-            raise ResultsError(run.damage)
         record = read_result(folder)
-        if not record and (rows := read_metrics(folder)):
-            step = int(rows[-1]["step"])
+        rows = [] if record else read_metrics(folder)
     except (ResultsError, RunFolderError) as damage:
-        record = {"state": FAILED, "error": str(damage)}
-    seconds = record.get("seconds")
-    times = list(seconds.values()) if isinstance(seconds, dict) else []
+        record, rows = {"state": FAILED, "error": str(damage)}, []
     return RunStatus(
         **asdict(run),
-        state=record.get("state") or (RUNNING if running else WAITING),
-        step=step,
-        seconds=sum(times) if times and all(isinstance(t, int | float) for t in times) else None,
+        state=record.get("state") or (RUNNING if is_locked(lock_of(folder)) else WAITING),
+        step=rows[-1]["step"] if rows else 0,
         error=str(record.get("error", "")),
     )
+
+
+def read_result(folder: Path) -> dict[str, Any]:
+    """A run's final record, with its `state`; empty without one; `ResultsError` if damaged."""
+    if not (folder / RESULT).is_file():
+        return {}
+    record = read_json(folder / RESULT, dict[str, Any], ResultsError)
+    if (state := record.get("state")) not in (DONE, FAILED):
+        found = f"expected {DONE} or {FAILED}, found {quoted(state)}"
+        raise ResultsError(f"{folder / RESULT}: state: {found}; remove the file")
+    return record
+
+
+def lock_of(folder: Path) -> Path:
+    """The lock of a run, beside its folder: training removes a folder that holds nothing yet."""
+    return folder.with_name(f".{folder.name}.lock")
+
+
+def is_locked(path: Path) -> bool:
+    """Whether another process holds the lock on a file."""
+    if not path.exists():
+        return False
+    try:
+        with FileLock(path, timeout=0):
+            return False
+    except Timeout:
+        return True

@@ -14,7 +14,7 @@ from magical.demos.store.trajectory import RECOVERY
 from magical.demos.store.writer import DatasetWriter
 from magical.errors import DatasetError, MagicalError, WorkerError
 from magical.messages import printable
-from magical.processes import checked_workers, outcomes_in_processes
+from magical.processes import checked_workers, map_in_processes
 
 SUFFIX = ".pkl.gz"
 # What imported trajectories contain; always frames if the poses cannot be recovered.
@@ -77,8 +77,8 @@ def import_published(
     first = {entry.fingerprint: entry.source or entry.file for entry in entries}
     progress(len(report.already))
     workers = min(checked_workers(workers), len(wanted))
-    convert = partial(_convert, keep=keep)
-    with closing(outcomes_in_processes(convert, wanted, workers)) as results:
+    convert = partial(_outcome, keep=keep)
+    with closing(map_in_processes(convert, wanted, workers)) as results:
         for file, result in zip(wanted, results, strict=True):
             progress(1)
             if isinstance(result, Exception):
@@ -103,6 +103,13 @@ def _is_copy(
         return True
     first[entry.fingerprint] = file.name
     return False
+
+
+def _outcome(file: Path, keep: Contents) -> tuple[ManifestEntry, bytes, str | None] | Exception:
+    try:
+        return _convert(file, keep)
+    except Exception as error:
+        return error
 
 
 def _convert(file: Path, keep: Contents) -> tuple[ManifestEntry, bytes, str | None]:
