@@ -103,9 +103,6 @@ class Config:
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {"paper": {}}
     # The observations of this package that the algorithm accepts.
     observations: ClassVar[tuple[str, ...]] = IMAGE_OBSERVATIONS
-    # Core-seconds per training sample and per action, for algorithms whose cost does not depend on
-    # a network of the registry; used only to estimate the time of a run.
-    seconds_each: ClassVar[tuple[float, float] | None] = None
 
     algorithm: str = ""  # its name, an entry point's name, or `module:NAME`
     tasks: tuple[str, ...] = option(MISSING, "one or more tasks to learn", metavar="TASK")
@@ -161,16 +158,6 @@ class Config:
     def num_threads(self) -> int:
         """CPU threads to train with; 0: PyTorch's default."""
         return self.threads
-
-    @property
-    def training_samples(self) -> int:
-        """Samples in all forward and backward passes of a whole run, for estimating its time."""
-        return 0
-
-    @property
-    def environment_steps(self) -> int:
-        """Environment steps in a whole run, for estimating its time."""
-        return 0
 
     @property
     def observation(self) -> str:
@@ -402,11 +389,6 @@ class SupervisedConfig(DemonstrationConfig):
     def num_updates(self) -> int:
         """The number of batches."""
         return self.batches
-
-    @property
-    def training_samples(self) -> int:
-        """The samples of all batches."""
-        return self.num_updates * self.batch_size
 
 
 @dataclass(frozen=True, slots=True)

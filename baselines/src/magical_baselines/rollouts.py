@@ -108,11 +108,6 @@ class InteractionConfig(PaperNetworkConfig):
         return self.threads or int(self.observes_vectors)
 
     @property
-    def environment_steps(self) -> int:
-        """Environment steps of all updates."""
-        return self.policy_updates * self.steps_per_update
-
-    @property
     def env_horizon(self) -> Horizon:
         """The horizon, as passed to the environments."""
         return None

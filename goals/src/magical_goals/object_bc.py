@@ -76,8 +76,6 @@ class ObjectBCConfig(SupervisedConfig):
         "paper": {},
         "quick": {"batches": 3000, "precision": "auto"},
     }
-    seconds_each: ClassVar[tuple[float, float] | None] = 1e-4, 1.5e-3  # measured
-
     algorithm: str = "object-bc"
     perception: str = option(
         PARSER, "what detects the objects in frames", plugins="magical.perceptions", known=(PARSER,)

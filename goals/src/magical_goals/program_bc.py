@@ -16,7 +16,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import torch
@@ -55,8 +55,6 @@ MOTION_SHAPES = {"drive": (2, 3), "turn": (2, 2), "grasp": (3,)}  # float64: see
 @dataclass(frozen=True, kw_only=True)
 class ProgramBCConfig(ObjectBCConfig):
     """Settings of behavioural cloning with goals as programs."""
-
-    seconds_each: ClassVar[tuple[float, float] | None] = 1.2e-4, 1.2e-3  # measured
 
     algorithm: str = "program-bc"
 

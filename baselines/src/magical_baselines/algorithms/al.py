@@ -108,12 +108,6 @@ class ALConfig(DemonstrationConfig, ReinforcementConfig):
         """The number of pretraining batches and policy updates."""
         return self.pretraining_batches + self.policy_updates
 
-    @property
-    def training_samples(self) -> int:
-        """The samples of the autoencoder, twice because of the decoder, and of the policy."""
-        pretraining = self.pretraining_batches * self.pretraining_batch_size
-        return 2 * pretraining + super().training_samples
-
 
 def train(config: ALConfig, run: Run) -> None:
     """Pretrain the autoencoder, then imitate demonstrations."""

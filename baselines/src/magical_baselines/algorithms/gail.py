@@ -66,16 +66,6 @@ class AdversarialConfig(DemonstrationConfig, ReinforcementConfig):
         super().__post_init__()
         self.require_halves("discriminator_batch_size", self.discriminator_batch_size)
 
-    @property
-    def discriminator_samples(self) -> int:
-        """The samples of all batches of the discriminator."""
-        return self.num_updates * self.discriminator_steps * self.discriminator_batch_size
-
-    @property
-    def training_samples(self) -> int:
-        """The samples of the policy and of the discriminator."""
-        return super().training_samples + self.discriminator_samples
-
 
 @dataclass(frozen=True, kw_only=True)
 class GAILConfig(AdversarialConfig):

@@ -127,15 +127,6 @@ class IQLearnConfig(DemonstrationConfig, InteractionConfig):
                 f"found {self.buffer_size}"
             )
 
-    @property
-    def training_samples(self) -> int:
-        """The transitions of all batches, and the passes on next observations.
-
-        Those are forward passes only, a third of the cost, if there is a target network.
-        """
-        transitions = self.num_updates * self.gradient_steps * self.batch_size
-        return transitions * 4 // 3 if self.target_every else transitions * 2
-
 
 def train(config: IQLearnConfig, run: Run) -> None:
     """Imitate demonstrations."""

@@ -135,11 +135,6 @@ class ReinforcementConfig(InteractionConfig):
         two = have_two_horizons(config.tasks)
         return config.replace(horizon="published") if two else config
 
-    @property
-    def training_samples(self) -> int:
-        """Every environment step, once per epoch."""
-        return self.environment_steps * self.epochs
-
 
 @dataclass(frozen=True, kw_only=True)
 class PPOConfig(ReinforcementConfig):

@@ -55,11 +55,6 @@ class TransformerBCConfig(SequenceConfig):
     window: PositiveInt = option(16, "steps in the input, the current one included")
     past_actions: bool = option(True, "include past actions in the input")
 
-    @property
-    def training_samples(self) -> int:
-        """The steps of all windows."""
-        return super().training_samples * self.window
-
 
 class Windows(NamedTuple):
     """Windows of L consecutive samples of demonstrations."""

@@ -49,11 +49,6 @@ class WGAILGPConfig(AdversarialConfig):
         super().__post_init__()
         self.require_one_task()
 
-    @property
-    def training_samples(self) -> int:
-        """The samples of GAIL, and half a batch with two backward passes for the penalty."""
-        return super().training_samples + self.discriminator_samples
-
 
 def train(config: WGAILGPConfig, run: Run) -> None:
     """Imitate demonstrations."""
