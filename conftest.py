@@ -12,7 +12,7 @@ import pytest
 # Tests run side by side, and so do the programs that they start: PyTorch's threads, which wait for
 # each other, would only stand in the way.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parent
 SHARED = ROOT.parent / "shared"
 # Tests of the studies and of the pages about them, which the source distribution has not.
 collect_ignore = (

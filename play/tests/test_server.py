@@ -85,7 +85,7 @@ def test_no_path_leads_out_of_the_page(server: RunningServer, path: str) -> None
 
 def test_a_message_that_is_too_long_ends_the_connection(server: RunningServer) -> None:
     with server.page() as page:
-        page.socket.send(json.dumps({"type": "speed", "speed": 1}) + " " * MAX_BYTES)
+        page.socket.send(json.dumps({"type": "seek", "step": 1}) + " " * MAX_BYTES)
         assert close_code(page.socket) == 1009
 
 
@@ -154,7 +154,7 @@ def test_a_lost_connection_pauses_the_episode_until_a_page_is_there_again(
 def test_a_second_page_replaces_the_first(server: RunningServer) -> None:
     with server.page() as first, server.page() as second:
         assert close_code(first.socket) == REPLACED
-        second.send(type="view", view="ego")
+        second.send(type="show", view="ego", speed=1)
         second.wait_for(lambda status: status["view"] == "ego")
 
 

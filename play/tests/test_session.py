@@ -1,5 +1,6 @@
 """A session, with time that is passed in: playing, watching, taking over, recording."""
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -15,14 +16,12 @@ from magical.experts import EpisodeExpert, expert_for, rollout
 from magical.scene import ACTION_NAMES, NUM_ACTIONS
 from magical_play.episodes import PlayedEpisode
 from magical_play.messages import (
-    Episodes,
     Keep,
     Keys,
     Message,
     Press,
     Seek,
     Show,
-    Speed,
     Start,
     Watch,
 )
@@ -44,15 +43,14 @@ class Clocked(Session):
     def __init__(
         self, env_id: EnvId = ENV, record: Path | None = None, datasets: tuple[Path, ...] = ()
     ) -> None:
-        rng = np.random.default_rng(0)
         writer = DatasetWriter(record) if record else None
-        super().__init__(env_id, Policies(), datasets, writer, rng)
+        super().__init__(env_id, Policies(), datasets, writer)
         self.joined()
 
     def send(self, message: Message) -> None:
         self.handle(message, self.now)
         if question := self.take_question():
-            question()
+            question.ask()
         self.advance(self.now)
         self.take_update(self.now)
         self._unseen.clear()
@@ -167,7 +165,7 @@ def test_views_differ_and_do_not_disturb_the_episode() -> None:
     session.hold(FORWARD)
     frames = set()
     for view in ("allo", "ego", "both"):
-        session.handle(Show(view), session.now)
+        session.handle(Show(view, 1.0), session.now)
         frames.add(session.take_update(session.now)[-1])
     assert len(frames) == 3
     assert (session.phase, session.episode.steps) == (Phase.PLAYING, 1)
@@ -268,6 +266,7 @@ def test_a_kept_episode_replays_bit_equally(task: str, tmp_path: Path) -> None:
 
 def test_a_finished_episode_is_not_lost_by_accident(tmp_path: Path) -> None:
     session = played(record=tmp_path)
+    session._datasets = (tmp_path,)
     for message in (Press("restart"), Start(ENV, None, None), Watch(0, 0)):
         session.send(message)
         assert (session.phase, session.can_keep) == (Phase.ENDED, True)
@@ -411,7 +410,7 @@ def test_the_environment_waits_for_a_slow_policy_and_late_answers_have_no_effect
         session.advance(session.now)
     assert (session.episode.steps, session.phase) == (0, Phase.PLAYING)
     session.handle(Press("restart"), session.now)
-    question()
+    question.ask()
     session.advance(session.now + STEP_TIME)
     assert session.episode.steps == 0
     session.send(Press("pause"))  # which asks the new one
@@ -451,11 +450,13 @@ def test_a_policy_that_fails_leaves_the_environment_to_the_person(
 
 def test_the_episodes_of_a_dataset_are_listed_newest_first(demos: Path) -> None:
     session = Clocked(datasets=(demos,))
-    session.handle(Episodes(0), session.now)
+    session.handle(Watch(0, None), session.now)
     reply = str(session.take_update(session.now)[1])
-    assert reply.index('[1, "MoveToRegion Demo, ') < reply.index('[0, "MoveToRegion Demo, ')
-    assert "seed 2" in reply
-    for message in (Episodes(1), Watch(1, 0), Watch(0, 2)):
+    listed = json.loads(reply)["episodes"]
+    assert [number for number, *_ in listed] == [1, 0]
+    stored = Dataset.open(demos)[1]
+    assert listed[0][1:] == ["MoveToRegion", "Demo", stored.score, "expert", 2]
+    for message in (Watch(1, None), Watch(1, 0), Watch(0, 2)):
         session.send(message)
         assert "expected one of" in session.notice
     assert isinstance(session.episode, PlayedEpisode)
@@ -477,7 +478,7 @@ def test_a_recorded_episode_plays_stops_and_is_sought(demos: Path) -> None:
     session.send(Seek(10**6))
     assert (session.episode.steps, session.phase) == (40, Phase.PAUSED)
     session.send(Press("restart"))
-    session.send(Speed(4.0))
+    session.send(Show("allo", 4.0))
     session.now = session.step_at
     session.hold()
     assert session.episode.steps == 1
@@ -501,6 +502,6 @@ def test_who_acted_is_shown(tmp_path: Path) -> None:
 
 def test_a_damaged_dataset_is_said(tmp_path: Path) -> None:
     session = Clocked(datasets=(tmp_path / "none",))
-    session.send(Episodes(0))
+    session.send(Watch(0, None))
     assert "none: expected a" in session.notice
     assert session.phase is Phase.READY
