@@ -26,19 +26,25 @@ def find_browser() -> str | None:
     return next(filter(None, map(shutil.which, NAMES)), None)
 
 
-class Browser:
-    """A running browser."""
+class Tab:
+    """A tab that shares nothing with others."""
 
     def __init__(self, socket: ClientConnection) -> None:
-        self._socket = socket
-        self._calls = 0
-        self.problems: list[str] = []  # what pages report as errors
+        self._socket, self._calls, self._session = socket, 0, ""
+        self.problems: list[str] = []  # what the page reports as errors
+        self.context = self.call("Target.createBrowserContext")["browserContextId"]
+        made = self.call("Target.createTarget", url="about:blank", browserContextId=self.context)
+        found = self.call("Target.attachToTarget", targetId=made["targetId"], flatten=True)
+        self._session = found["sessionId"]
+        for domain in ("Page", "Runtime", "Log"):
+            self.call(f"{domain}.enable")
 
-    def call(self, method: str, session: str | None = None, **parameters: Any) -> dict[str, Any]:
-        """Call one method of the protocol, in a tab or in the browser; returns its result."""
+    def call(self, method: str, **parameters: Any) -> dict[str, Any]:
+        """Call one method of the protocol; returns its result."""
         self._calls += 1
         request = {"id": self._calls, "method": method, "params": parameters}
-        self._socket.send(json.dumps(request | ({"sessionId": session} if session else {})))
+        in_tab = {"sessionId": self._session} if self._session else {}
+        self._socket.send(json.dumps({**request, **in_tab}))
         while True:
             answer = json.loads(self._socket.recv(timeout=TIMEOUT))
             if answer.get("method") in ("Runtime.exceptionThrown", "Log.entryAdded"):
@@ -47,32 +53,6 @@ class Browser:
                 assert "error" not in answer, answer
                 result: dict[str, Any] = answer["result"]
                 return result
-
-    @contextmanager
-    def open_tab(self) -> Iterator["Tab"]:
-        """A tab that shares nothing with others, closed with the block."""
-        context = self.call("Target.createBrowserContext")["browserContextId"]
-        target = self.call("Target.createTarget", url="about:blank", browserContextId=context)
-        attached = self.call("Target.attachToTarget", targetId=target["targetId"], flatten=True)
-        self.problems.clear()
-        try:
-            yield Tab(self, attached["sessionId"])
-        finally:
-            self.call("Target.disposeBrowserContext", browserContextId=context)
-
-
-class Tab:
-    """One tab of a browser."""
-
-    def __init__(self, browser: Browser, session: str) -> None:
-        self.browser = browser
-        self._session = session
-        for domain in ("Page", "Runtime", "Log"):
-            self.call(f"{domain}.enable")
-
-    def call(self, method: str, **parameters: Any) -> dict[str, Any]:
-        """Call one method of the protocol in this tab."""
-        return self.browser.call(method, self._session, **parameters)
 
     def evaluate(self, script: str) -> Any:
         """The value of a JavaScript expression; promises are awaited."""
@@ -101,8 +81,8 @@ class Tab:
 
 
 @contextmanager
-def start_browser(program: str, folder: Path) -> Iterator[Browser]:
-    """A browser that keeps its files in a folder, ended with the block."""
+def start_browser(program: str, folder: Path) -> Iterator[Tab]:
+    """A tab of a browser that keeps its files in a folder, ended with the block."""
     command = [program, *FLAGS, f"--user-data-dir={folder}", "--remote-debugging-port=0"]
     environment = {**os.environ, "HOME": str(folder), "TMPDIR": str(folder)}
     process = subprocess.Popen(
@@ -112,7 +92,7 @@ def start_browser(program: str, folder: Path) -> Iterator[Browser]:
         assert process.stderr is not None
         line = next(line for line in process.stderr if "DevTools listening on" in line)
         with connect(line.split()[-1], max_size=None, ping_interval=None) as socket:
-            yield Browser(socket)
+            yield Tab(socket)
     finally:
         process.kill()
         process.communicate()

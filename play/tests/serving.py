@@ -1,9 +1,9 @@
-"""A server on loopback, and a person's end of its socket without a browser."""
+"""A server on loopback, and a page's end of its socket without a browser."""
 
 import http.client
 import json
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -28,14 +28,13 @@ class RunningServer:
 
     def __init__(self, port: int, session: Session) -> None:
         self.session = session
-        self.port = port
         self.host = f"127.0.0.1:{port}"
 
     def get(
         self, path: str, method: str = "GET", token: str | None = TOKEN, **headers: str
     ) -> tuple[int, dict[str, str], bytes]:
         """Send one request; returns status, headers and body. The path is sent as it is."""
-        client = http.client.HTTPConnection("127.0.0.1", self.port, timeout=TIMEOUT)
+        client = http.client.HTTPConnection(self.host, timeout=TIMEOUT)
         target = path if token is None else f"{path}?token={token}"
         client.request(method, target, None, {"Host": self.host, **headers})
         answer = client.getresponse()
@@ -46,11 +45,8 @@ class RunningServer:
 
     def connect(self, query: str = f"token={TOKEN}", origin: str | None = "") -> ClientConnection:
         """Open the socket; the origin is the server's own unless another is given."""
-        return connect(
-            f"ws://{self.host}/socket?{query}",
-            origin=f"http://{self.host}" if origin == "" else origin,
-            proxy=None,
-        )
+        named = f"http://{self.host}" if origin == "" else origin
+        return connect(f"ws://{self.host}/socket?{query}", origin=named, proxy=None)
 
     @contextmanager
     def page(self) -> Iterator["Page"]:
@@ -67,9 +63,8 @@ class Page:
     def __init__(self, socket: ClientConnection) -> None:
         self.socket = socket
         self.held: list[str] = []
-        self.frame = b""
+        self.frame: str | bytes = b""
         self.status: dict[str, Any] = {}
-        self.replies: list[dict[str, Any]] = []
 
     def send(self, **message: Any) -> None:
         self.socket.send(json.dumps(message))
@@ -79,35 +74,28 @@ class Page:
         self.held = list(controls)
         self.send(type="keys", held=self.held, seen=0)
 
-    def receive(self) -> None:
-        message = json.loads(self.socket.recv(timeout=TIMEOUT))
-        if message["type"] != "status":
-            return self.replies.append(message)
-        self.status, frame = message, self.socket.recv(timeout=TIMEOUT)
-        assert isinstance(frame, bytes)
-        self.frame = frame
-        return self.send(type="keys", held=self.held, seen=message["number"])
-
     def wait_for(self, condition: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
         """The first status of which the condition holds, the present one included."""
         while not self.status or not condition(self.status):
-            self.receive()
+            message = json.loads(self.socket.recv(timeout=TIMEOUT))
+            if message["type"] == "status":
+                self.status, self.frame = message, self.socket.recv(timeout=TIMEOUT)
+                self.send(type="keys", held=self.held, seen=message["number"])
         return self.status
 
 
-def close_code(socket: ClientConnection) -> int:
+def close_code(socket: ClientConnection) -> int | None:
     """The code that the server closes a socket with, whatever it sends before."""
     with suppress(ConnectionClosed):
         while True:
             socket.recv(timeout=TIMEOUT)
-    assert socket.close_code is not None
     return socket.close_code
 
 
 @contextmanager
-def running(record: Path, datasets: Sequence[Path] = ()) -> Iterator[RunningServer]:
+def running(record: Path) -> Iterator[RunningServer]:
     """A server on a free port of loopback that starts in MoveToRegion."""
-    session = Session(ENV, Policies(), [record, *datasets], DatasetWriter(record))
+    session = Session(ENV, Policies(), [record], DatasetWriter(record))
     with listen("127.0.0.1", 0) as listening:
         server = make_server(PlayServer(make_guard("127.0.0.1", TOKEN), session).app)
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]})

@@ -12,7 +12,6 @@ from magical.envs.keys import Control
 from magical.envs.seeds import FIRST_EVALUATION_SEED
 from magical_play.messages import (
     MAX_BYTES,
-    Episodes,
     Keep,
     Keys,
     Message,
@@ -20,7 +19,6 @@ from magical_play.messages import (
     Press,
     Seek,
     Show,
-    Speed,
     Start,
     Watch,
     parse_message,
@@ -37,12 +35,10 @@ VALID: dict[str, tuple[dict[str, Any], object]] = {
         Start(EnvId("FindDupe", "TestAll"), 3, 1),
     ),
     "press": ({"button": "hand_back"}, Press("hand_back")),
-    "view": ({"view": "both"}, Show("both")),
+    "show": ({"view": "both", "speed": 0.5}, Show("both", 0.5)),
     "keep": ({"demonstrator": " Ada\u3000\u200d\U0001f52c "}, Keep("Ada\u3000\u200d\U0001f52c")),
-    "episodes": ({"dataset": 1}, Episodes(1)),
     "watch": ({"dataset": 0, "episode": 3}, Watch(0, 3)),
     "seek": ({"step": 4}, Seek(4)),
-    "speed": ({"speed": 0.5}, Speed(0.5)),
 }
 
 
@@ -75,14 +71,14 @@ def test_presets_are_left_out_and_seeds_and_policies_may_be_missing() -> None:
         {"type": "start", "env_id": ENV, "seed": 0},
         {"type": "press", "button": "take_question"},
         {"type": "press", "button": "pause", "seconds": 3},
-        {"type": "view", "view": "side"},
+        {"type": "show", "view": "side", "speed": 1},
         {"type": "keep", "demonstrator": "  "},
         {"type": "keep", "demonstrator": "a" * 101},
         {"type": "keep", "demonstrator": "a\nb"},
         {"type": "keep", "demonstrator": "\ud800"},
         {"type": "watch", "dataset": "../demos", "episode": 0},
         {"type": "seek", "step": 10**30},
-        {"type": "speed", "speed": 0},
+        {"type": "show", "view": "ego", "speed": 0},
         {"type": ["pause"]},
         {"type": "quit"},
         {},

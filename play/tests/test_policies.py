@@ -12,7 +12,7 @@ from magical.envs import EnvId
 from magical.errors import PolicyError, RunFolderError
 from magical_play import policies as policies_module
 from magical_play.episodes import PlayedEpisode
-from magical_play.policies import Driver, Policies
+from magical_play.policies import Policies
 
 ENV = EnvId("MoveToRegion", "Demo")
 
@@ -31,32 +31,39 @@ def test_runs_are_found_below_folders_and_keep_their_numbers(tmp_path: Path) -> 
     write_config(tmp_path / "runs" / "a" / "seed-0")
     write_config(tmp_path / "runs" / "too" / "deep" / "for" / "us")
     assert policies.names() == [*first, str(tmp_path / "runs" / "a" / "seed-0")]
-    assert policies.driver(2, ENV, 0).name == str(tmp_path / "mine")
+    episode = PlayedEpisode(ENV, 11)
+    assert policies.driver(2, episode).name == str(tmp_path / "mine")
     with pytest.raises(PolicyError, match="a number up to 3, found 4"):
-        policies.driver(4, ENV, 0)
+        policies.driver(4, episode)
     with pytest.raises(RunFolderError, match="no-such-folder"):
         Policies([tmp_path / "no-such-folder"])
 
 
-def choices(driver: Driver, seed: int = 11) -> list[int]:
-    """What a policy chooses in an episode in which it acts."""
-    episode, executed = PlayedEpisode(ENV, seed), None
+def choices(policies: Policies) -> list[int]:
+    """What a server's first run chooses in an episode in which it acts."""
+    episode = PlayedEpisode(ENV, 11)
+    driver = policies.driver(1, episode)
     while episode.steps < episode.length:
-        driver.ask(episode.state, executed)
-        if driver.error is not None:
-            raise driver.error
-        executed = driver.choice
-        assert executed is not None
-        episode.act(executed, driver.actor, executed)
+        driver.ask()
+        assert driver.error is None
+        assert driver.choice is not None
+        episode.act(driver.choice, driver.actor, driver.choice)
     return episode.actions
+
+
+def problem(policies: Policies, env_id: EnvId = ENV) -> str:
+    """Why a server's first run cannot act."""
+    driver = policies.driver(1, PlayedEpisode(env_id, 11))
+    driver.ask()
+    return str(driver.error)
 
 
 @pytest.fixture
 def loaded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
-    """Makes a server's first run that acts as a given policy."""
+    """Makes a server's policies, of which the first run acts as a given policy."""
     write_config(tmp_path / "random")
 
-    def driver(policy: object) -> Driver:
+    def policies(policy: object) -> Policies:
         def load(folder: Path) -> object:
             assert folder.is_absolute()  # "random" is also the name of a policy
             return policy
@@ -65,9 +72,9 @@ def loaded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
         monkeypatch.setattr(policies_module, "load_policy", load)
         found = Policies([Path("random")])
         assert found.names() == ["expert", "random"]
-        return found.driver(1, ENV, 11)
+        return found
 
-    return driver
+    return policies
 
 
 class Recorder:
@@ -109,9 +116,7 @@ def test_what_is_no_action_is_an_error(loaded: Any) -> None:
             return np.zeros((1, 3))
 
     for policy in (Continuous("state"), Recorder("state", actions=10**9)):
-        driver = loaded(policy)
-        driver.ask(PlayedEpisode(ENV, 11).state, None)
-        assert str(driver.error).startswith("expected an action from 0 to 17, found [")
+        assert problem(loaded(policy)).startswith("expected an action from 0 to 17, found [")
 
 
 def test_a_trained_run_is_watched(tmp_path: Path) -> None:
@@ -128,7 +133,7 @@ def test_a_trained_run_is_watched(tmp_path: Path) -> None:
     assert cli.main(["train", "bc", "--out", str(tmp_path / "runs" / "mine"), *training]) == 0
     policies = Policies([tmp_path / "runs"])
     assert policies.names() == ["expert", str(tmp_path / "runs" / "mine")]
-    assert len(choices(policies.driver(1, ENV, 11))) == 40
-    other = policies.driver(1, EnvId("FindDupe", "Demo"), 11)
-    other.ask(PlayedEpisode(EnvId("FindDupe", "Demo"), 11).state, None)
-    assert "MoveToRegion; found magical/FindDupe-Demo-v0" in str(other.error)
+    assert len(choices(policies)) == 40
+    assert "MoveToRegion; found magical/FindDupe-Demo-v0" in problem(
+        policies, EnvId("FindDupe", "Demo")
+    )

@@ -13,12 +13,10 @@ def test_tokens_are_long_and_random_and_not_shown_with_the_guard() -> None:
     assert len(tokens) == 100
     assert min(map(len, tokens)) >= TOKEN_BYTES * 8 / 6
     assert "secret" not in repr(GUARD)
-
-
-@pytest.mark.parametrize("token", ["", "secre", "secret ", "Secret", "sécret"])
-def test_other_tokens_are_refused(token: str) -> None:
-    assert GUARD.knows("secret")
-    assert not GUARD.knows(token)
+    assert [GUARD.knows(token) for token in ("secret", "", "secre", "Secret", "sécret")] == [
+        True,
+        *[False] * 4,
+    ]
 
 
 def test_hosts() -> None:
@@ -38,28 +36,16 @@ def test_a_server_for_other_machines_accepts_addresses_and_named_hosts() -> None
     assert not guard.accepts_host({"host": "evil.example"})
 
 
-@pytest.mark.parametrize(
-    ("origin", "accepted"),
-    [
-        ("http://127.0.0.1:8000", True),
-        ("https://127.0.0.1:8000", True),
-        ("http://127.0.0.1:8001", False),
-        ("http://evil.example", False),
-        ("http://127.0.0.1:8000.evil.example", False),
-        ("file://127.0.0.1:8000", False),
-        ("null", False),
-        ("", False),
-    ],
-)
-def test_origins(origin: str, accepted: bool) -> None:
-    headers = {"host": "127.0.0.1:8000", "origin": origin}
-    assert GUARD.accepts_origin(headers, required=True) is accepted
-    assert GUARD.accepts_origin(headers, required=False) is accepted
-
-
-def test_an_origin_may_be_missing_where_nothing_is_changed() -> None:
-    assert GUARD.accepts_origin({"host": "localhost"}, required=False)
-    assert not GUARD.accepts_origin({"host": "localhost"}, required=True)
+@pytest.mark.parametrize("required", [True, False])
+def test_origins(required: bool) -> None:
+    host = "127.0.0.1:8000"
+    assert GUARD.accepts_origin({"host": host}, required=False)
+    assert not GUARD.accepts_origin({"host": host}, required=True)
+    for origin in (f"http://{host}", f"https://{host}"):
+        assert GUARD.accepts_origin({"host": host, "origin": origin}, required=required)
+    other = "http://127.0.0.1:8001", "http://evil.example", f"http://{host}.evil.example"
+    for origin in (*other, f"file://{host}", "null", ""):
+        assert not GUARD.accepts_origin({"host": host, "origin": origin}, required=required)
 
 
 def test_the_address_of_the_page() -> None:

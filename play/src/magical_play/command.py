@@ -14,26 +14,20 @@ HELP = "play, record and watch demonstrations and policies in the browser"
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Describe the command's arguments."""
-    parser.add_argument(
-        "--env",
-        default="magical/MoveToRegion-Demo-v0",
-        metavar="ID",
-        help="environment to start with; the page offers others (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--record", type=Path, metavar="DIR", help="dataset to add kept episodes to"
-    )
+    meaning = "environment to start with; the page offers others (default: %(default)s)"
+    first = "magical/MoveToRegion-Demo-v0"
+    parser.add_argument("--env", default=first, metavar="ID", help=meaning)
+    meaning = "dataset to add kept episodes to"
+    parser.add_argument("--record", type=Path, metavar="DIR", help=meaning)
     meaning = "datasets whose episodes can be watched; that of --record is always included"
     add_several(parser, "--datasets", meaning, "DIR", kind=Path, default=[])
     meaning = "run folders, or folders that contain runs, whose policies can be watched"
     add_several(parser, "--runs", meaning, "DIR", kind=Path, default=[])
-    parser.add_argument(
-        "--host",
-        default="127.0.0.1",
-        metavar="ADDRESS",
-        help="address to listen on; any but the default can be reached from outside, without "
-        "encryption (default: %(default)s)",
+    meaning = (
+        "address to listen on; any but the default can be reached from outside, without "
+        "encryption (default: %(default)s)"
     )
+    parser.add_argument("--host", default="127.0.0.1", metavar="ADDRESS", help=meaning)
     add_count(parser, "--port", "port to listen on; 0: any free port", default=8000, least=0)
     meaning = "other host names by which browsers reach this server"
     add_several(parser, "--allow-host", meaning, "NAME", default=[])

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from magical import get_task
 from magical.demos import Actor, Trajectory
 from magical.demos.record import recorded_trajectory
 from magical.envs import EnvId
@@ -33,18 +32,15 @@ VIEWS: Mapping[str, tuple[View, ...]] = {
 
 
 class PlayedEpisode:
-    """An episode from its reset on, with all data needed to store it.
-
-    Raises:
-        MagicalError: the environment could not be started.
-    """
+    """An episode from its reset on, with all data needed to store it."""
 
     def __init__(self, env_id: EnvId, seed: int) -> None:
         self.env_id, self.seed = env_id, seed
         self.env = MagicalEnv(env_id.task, env_id.variant, observation="state")
         self.env.reset(seed=seed)
-        self.scene, self.length, self.views = self.env.state().scene, self.env.horizon, tuple(VIEWS)
+        self.scene, self.length = self.env.state().scene, self.env.horizon
         self.steps = 0  # control steps so far
+        self.executed: list[str] | None = None  # the last action in words
         self.actions: list[int] = []
         self.actors: list[Actor] = []  # who chose each action
         self.policy_actions: list[int] = []  # chosen by the watched policy, if any
@@ -59,17 +55,12 @@ class PlayedEpisode:
     def act(self, action: int, actor: Actor, policy_action: int | None = None) -> None:
         """Step the environment: `actor` chose `action`; the watched policy, if any, another one."""
         self.env.step(action)
-        self.steps += 1
+        self.steps, self.executed = self.steps + 1, in_words(action)
         self.actions.append(action)
         self.actors.append(actor)
         if policy_action is not None:
             self.policy_actions.append(policy_action)
         self._look()
-
-    @property
-    def executed(self) -> list[str] | None:
-        """The last action in words; `None` before the first."""
-        return in_words(self.actions[-1]) if self.actions else None
 
     def facts(self) -> dict[str, str]:
         """What the page shows beside the picture."""
@@ -103,9 +94,6 @@ class RecordedEpisode:
         self.env_id, self.seed, self.scene = trajectory.env_id, trajectory.seed, trajectory.scene
         self.length = len(trajectory)
         self.steps = 0  # the step that is shown
-        stored = trajectory.frames or {}
-        rendered = trajectory.poses is not None
-        self.views = tuple(v for v, parts in VIEWS.items() if rendered or set(parts) <= set(stored))
 
     @property
     def executed(self) -> list[str] | None:
@@ -115,14 +103,14 @@ class RecordedEpisode:
     def facts(self) -> dict[str, str]:
         """What the page shows beside the picture: of the step, and of the episode."""
         episode = self.trajectory
-        facts = {"Step": f"{self.steps} of {self.length}", "Last action": joined(self.executed)}
+        facts = {"Step": f"{self.steps} of {self.length}"}
         if episode.poses is not None:
             score = episode.task.score(episode.scene, Poses(episode.poses[self.steps]))
             facts["Score"] = f"{score:.2f}"
-        if episode.expert_actions is not None:
-            facts["To imitate"] = joined(self._action(episode.expert_actions))
-        if episode.policy_actions is not None:
-            facts["Policy chose"] = joined(self._action(episode.policy_actions))
+        taken = episode.actions, episode.expert_actions, episode.policy_actions
+        for name, actions in zip(("Last action", "To imitate", "Policy chose"), taken, strict=True):
+            if actions is not None:
+                facts[name] = joined(self._action(actions))
         if episode.actors is not None:
             actor = Actor(int(episode.actors[self.steps - 1]))
             facts["Acted"] = actor.name.lower() if self.steps else UNKNOWN
@@ -134,21 +122,16 @@ class RecordedEpisode:
         return facts
 
     def frame(self, view: str) -> bytes:
-        """The step's frame as a WebP file; of a recording of frames, the first recorded view."""
+        """The step's frame as a WebP file; of a recording of frames, in what views it has."""
         episode = self.trajectory
         if episode.poses is not None:
             return render_webp(episode.scene, Poses(episode.poses[self.steps]), view)
         frames = episode.frames or {}
-        shown = VIEWS[view if view in self.views else self.views[0]]
-        return encode_webp([frames[name][self.steps] for name in shown])
+        shown = [frames[name] for name in VIEWS[view] if name in frames] or list(frames.values())
+        return encode_webp([recorded[self.steps] for recorded in shown])
 
     def _action(self, actions: NDArray[Any]) -> list[str] | None:
         return in_words(actions[self.steps - 1].tolist()) if self.steps else None
-
-
-def instruction(episode: PlayedEpisode | RecordedEpisode) -> str:
-    """What to do in an episode, in English."""
-    return str(get_task(episode.env_id.task).instruction(episode.scene))
 
 
 def in_words(action: int | list[float]) -> list[str]:
@@ -170,14 +153,12 @@ def render_webp(scene: Scene, poses: Poses, view: str) -> bytes:
 
 
 def encode_webp(frames: Sequence[NDArray[np.uint8]]) -> bytes:
-    """Encode frames (H, W, 3) of equal height, from left to right, as one WebP file.
-
-    The file is lossless, encoded with the least compression effort.
-    """
+    """Frames (H, W, 3) of equal height, from left to right, as one lossless WebP file."""
     height = len(frames[0])
     gap = np.full((height, GAP * height // SIZE, 3), 255, np.uint8)
     parts = [part for frame in frames for part in (gap, frame)]
     file = io.BytesIO()
     pixels = np.concatenate(parts[1:], axis=1)
+    # With the least compression effort: a page gets eight files a second.
     Image.fromarray(pixels).save(file, "WEBP", lossless=True, quality=0, method=0)
     return file.getvalue()

@@ -18,9 +18,7 @@ MAX_NAME = 100  # characters of a demonstrator's name
 
 # Unicode categories not allowed in names: controls, surrogates, line and paragraph separators.
 _CONTROLS = frozenset({"Cc", "Cs", "Zl", "Zp"})
-
 Number = Annotated[int, Meta(ge=0, lt=10**9)]
-ViewName = Literal["allo", "ego", "both"]
 
 
 class MessageError(MagicalError, ValueError):
@@ -32,11 +30,7 @@ class _Message(Struct, frozen=True, tag_field="type", tag=str.lower):
 
 
 class Keys(_Message, frozen=True):
-    """The controls that are held, and the number of the newest frame on the page.
-
-    The page sends one when a key changes and one for every frame, so that a lost message does no
-    harm and the server knows that the page still responds.
-    """
+    """The controls that are held, and the newest frame; sent for every key and every frame."""
 
     held: Annotated[frozenset[Control], Meta(max_length=len(Control))]
     seen: Annotated[int, Meta(ge=0, le=1 << 53)]  # all integers that JavaScript represents
@@ -60,10 +54,11 @@ class Press(_Message, frozen=True):
     button: Literal["restart", "pause", "resume", "discard", "hand_back"]
 
 
-class Show(_Message, frozen=True, tag="view"):
-    """Render another view."""
+class Show(_Message, frozen=True):
+    """How to show episodes; at speed 1, eight steps of a recorded one take one second."""
 
-    view: ViewName
+    view: Literal["allo", "ego", "both"]
+    speed: Annotated[float, Meta(ge=0.125, le=16)]
 
 
 class Keep(_Message, frozen=True):
@@ -80,17 +75,11 @@ class Keep(_Message, frozen=True):
             )
 
 
-class Episodes(_Message, frozen=True):
-    """List the episodes of a dataset, by its number."""
-
-    dataset: Number
-
-
 class Watch(_Message, frozen=True):
-    """Watch an episode of a dataset, both by their numbers."""
+    """Watch an episode of a dataset, both by their numbers; without one, list the episodes."""
 
     dataset: Number
-    episode: Number
+    episode: Number | None
 
 
 class Seek(_Message, frozen=True):
@@ -99,13 +88,7 @@ class Seek(_Message, frozen=True):
     step: Number
 
 
-class Speed(_Message, frozen=True):
-    """How fast watched episodes are shown; at 1, eight steps take one second."""
-
-    speed: Annotated[float, Meta(ge=0.125, le=16)]
-
-
-Message = Keys | Start | Press | Show | Keep | Episodes | Watch | Seek | Speed
+Message = Keys | Start | Press | Show | Keep | Watch | Seek
 
 
 def parse_message(text: str) -> Message:

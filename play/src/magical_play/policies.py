@@ -5,9 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from magical import get_task
 from magical.demos import Actor
-from magical.envs import EnvId
 from magical.errors import PolicyError, RunFolderError
 from magical.evaluation import load_policy
 from magical.evaluation.policy import observation_for
@@ -15,23 +13,18 @@ from magical.experts import EpisodeExpert, expert_for, strategy_seed
 from magical.observe import make_spec
 from magical.observe.arrays import map_arrays
 from magical.runs import is_run
-from magical.scene import NUM_ACTIONS, State
+from magical.scene import NUM_ACTIONS
+from magical_play.episodes import PlayedEpisode
 
 EXPERT = "expert"  # the name of the first policy
-MAX_DEPTH = 3  # levels of folders below a given one that are searched for runs
 
-# Called in every state of one episode, in order, with the action that led to it, if any.
-Chooser = Callable[[State, int | None], int]
+Chooser = Callable[[], int]  # the action in the next state of an episode, called in every state
 
 
 class Policies:
-    """The policies of a server by number: 0 is the expert, then the runs in the given folders.
+    """The policies of a server by number: 0 is the expert, then the runs at or below folders.
 
-    Args:
-        folders: run folders, or folders with run folders in them.
-
-    Raises:
-        RunFolderError: a folder does not exist.
+    Raises `RunFolderError` for a folder that does not exist.
     """
 
     def __init__(self, folders: Sequence[Path] = ()) -> None:
@@ -47,86 +40,69 @@ class Policies:
         self._runs += [run for run in found if run not in self._runs]
         return [EXPERT, *map(str, self._runs)]
 
-    def driver(self, number: int, env_id: EnvId, seed: int) -> "Driver":
-        """A policy that begins an episode; raises `PolicyError` if there is none of the number.
-
-        Args:
-            number: of the policy.
-            env_id: the episode's environment.
-            seed: seeds the expert's strategy, and the sampling of actions.
-        """
+    def driver(self, number: int, episode: PlayedEpisode) -> "Driver":
+        """A policy at the start of an episode; raises `PolicyError` if the number is unknown."""
         if number > len(self._runs):
             raise PolicyError(f"policy: expected a number up to {len(self._runs)}, found {number}")
-        if number == 0:
-            return Driver(0, EXPERT, Actor.EXPERT, lambda: expert_chooser(env_id, seed))
-        run = self._runs[number - 1]
-        return Driver(number, str(run), Actor.POLICY, lambda: run_chooser(run, env_id, seed))
+        return Driver(self._runs[number - 1] if number else None, episode)
 
 
 def find_runs(root: Path) -> list[Path]:
-    """The run folders at or below a folder, at most `MAX_DEPTH` levels deep, in order."""
-    if is_run(root):
-        return [root]
-    below = (root.glob("/".join("*" * depth)) for depth in range(1, MAX_DEPTH + 1))
-    return sorted(path for paths in below for path in paths if is_run(path))
+    """The run folders at or below a folder, at most three levels deep."""
+    below = (sorted(root.glob(pattern)) for pattern in ("*", "*/*", "*/*/*"))
+    return [path for level in ([root], *below) for path in level if is_run(path)]
 
 
 class Driver:
-    """A policy in one episode, which is asked for its choice in every state, whoever acts.
+    """A policy in one episode, which is asked for its choice in every state, whoever acts."""
 
-    Args:
-        number: its number among the server's policies.
-        name: its name.
-        actor: what recordings call it.
-        load: returns what chooses its actions; called when the first action is needed.
-    """
-
-    def __init__(self, number: int, name: str, actor: Actor, load: Callable[[], Chooser]) -> None:
-        self.number, self.name, self.actor = number, name, actor
+    def __init__(self, run: Path | None, episode: PlayedEpisode) -> None:
+        self.name = EXPERT if run is None else str(run)
+        self.actor = Actor.EXPERT if run is None else Actor.POLICY
         self.is_asked = False
         self.choice: int | None = None  # in the current state
         self.error: Exception | None = None  # why there will be no choice
-        self._load = load
+        self._run, self._episode = run, episode
         self._choose: Chooser | None = None
 
-    def ask(self, state: State, executed: int | None) -> None:
-        """Let the policy choose in the next state, to which an action led unless it is the first.
-
-        The first call may take seconds: it should be made in a thread.
-        """
+    def ask(self) -> None:
+        """Let the policy choose. The first call may take seconds: make it in a thread."""
         try:
-            self._choose = self._choose or self._load()
-            self.choice = self._choose(state, executed)
+            if self._choose is None:
+                run, episode = self._run, self._episode
+                self._choose = run_chooser(run, episode) if run else expert_chooser(episode)
+            self.choice = self._choose()
         except Exception as error:  # a policy may fail in any way; the session goes on
             self.error = error
 
 
-def expert_chooser(env_id: EnvId, seed: int) -> Chooser:
+def expert_chooser(episode: PlayedEpisode) -> Chooser:
     """The expert in an episode in which others may also act; raises `NoExpertError`."""
-    expert = EpisodeExpert(expert_for(env_id.task, seed=strategy_seed(env_id.variant, seed)))
+    seed = strategy_seed(episode.env_id.variant, episode.seed)
+    expert = EpisodeExpert(expert_for(episode.env_id.task, seed=seed))
 
-    def choose(state: State, executed: int | None) -> int:
-        if executed is not None:
-            expert.note_executed(executed)
-        return expert.act(state)
+    def choose() -> int:
+        if episode.actions:
+            expert.note_executed(episode.actions[-1])
+        return expert.act(episode.state)
 
     return choose
 
 
-def run_chooser(run: Path, env_id: EnvId, seed: int) -> Chooser:
+def run_chooser(run: Path, episode: PlayedEpisode) -> Chooser:
     """The policy of a run in an episode, from its newest checkpoint; raises as `load_policy`."""
     policy = load_policy(run.absolute())  # a relative path may be the name of another policy
-    observer = make_spec(observation_for(policy), get_task(env_id.task)).observer()
-    rng = np.random.default_rng([seed, 1])  # the scene's generator has the seed alone
+    observer = make_spec(observation_for(policy), episode.env_id.task_spec).observer()
+    rng = np.random.default_rng([episode.seed, 1])  # the scene's generator has the seed alone
     policy.reset(np.ones(1, np.bool_))
 
-    def choose(state: State, executed: int | None) -> int:
-        if executed is None:
-            observer.start(state.scene, state.bodies)
+    def choose() -> int:
+        if episode.actions:
+            observer.update(episode.state.bodies)
         else:
-            observer.update(state.bodies)
+            observer.start(episode.scene, episode.state.bodies)
         observation = map_arrays(lambda array: array[None], observer.out)
-        actions = np.asarray(policy.act(observation, [env_id], rng))
+        actions = np.asarray(policy.act(observation, [episode.env_id], rng))
         if actions.shape != (1,) or actions[0] not in range(NUM_ACTIONS):
             raise PolicyError(
                 f"expected an action from 0 to {NUM_ACTIONS - 1}, found {actions.tolist()}"

@@ -41,18 +41,12 @@ class Guard:
 
     Checking the Host header protects against DNS rebinding: a page of another site whose name
     resolves to this machine still sends that name. IP addresses cannot be rebound, so a server that
-    is not bound to loopback alone accepts any.
-
-    Args:
-        token: the secret that every request must carry, except those for the page's files.
-        hosts: names and addresses by which the server may be addressed; ports are not compared,
-            since a tunnel may change them.
-        any_address: whether any IP address is accepted as well.
+    is not bound to loopback alone accepts any. Ports are not compared: a tunnel may change them.
     """
 
-    token: str = field(repr=False)
-    hosts: frozenset[str] = LOOPBACK
-    any_address: bool = False
+    token: str = field(repr=False)  # that every request must carry, but those for the page's files
+    hosts: frozenset[str] = LOOPBACK  # by which the server may be addressed
+    any_address: bool = False  # whether any IP address is accepted as well
 
     def knows(self, token: str) -> bool:
         """Whether a token is the right one; compares in constant time."""
@@ -70,10 +64,8 @@ class Guard:
     def accepts_origin(self, headers: Mapping[str, str], *, required: bool) -> bool:
         """Whether a request comes from this server's own page.
 
-        Args:
-            headers: the request's headers.
-            required: whether a request without an Origin header is refused; browsers send one with
-                every WebSocket and every request that changes something.
+        Browsers send an Origin header with every WebSocket and every request that changes something
+        (`required`).
         """
         origin = headers.get("origin")
         if origin is None:
@@ -96,13 +88,7 @@ def page_url(host: str, port: int, token: str) -> str:
 
 
 class GuardMiddleware:
-    """Passes on only the requests that the guard accepts.
-
-    Args:
-        app: the application that handles accepted requests.
-        guard: decides what is refused.
-        public: paths that may be read without the token.
-    """
+    """Passes on only what the guard accepts; `public` paths may be read without the token."""
 
     def __init__(self, app: ASGIApp, guard: Guard, public: Collection[str]) -> None:
         self._app, self._guard, self._public = app, guard, public

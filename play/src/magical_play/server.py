@@ -2,7 +2,7 @@
 
 import asyncio
 import socket as sockets
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from time import monotonic
@@ -10,7 +10,6 @@ from time import monotonic
 import uvicorn
 from starlette.applications import Starlette
 from starlette.middleware import Middleware
-from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
@@ -19,6 +18,7 @@ from magical.errors import MagicalError
 from magical.render import warm_up
 from magical_play.episodes import SAMPLES
 from magical_play.messages import MAX_BYTES, MessageError, parse_message
+from magical_play.policies import Driver
 from magical_play.security import HEADERS, Guard, GuardMiddleware
 from magical_play.session import Session
 
@@ -33,17 +33,8 @@ SHUTDOWN_TIME = 2  # s that an open connection has to end
 REPLACED = 4001  # the WebSocket's close code when the page was opened elsewhere
 
 
-class ServerError(MagicalError, OSError):
-    """A server that cannot listen on the chosen address."""
-
-
 class PlayServer:
-    """A server's application and its session, for one page at a time: a new one replaces another.
-
-    Args:
-        guard: decides which requests are answered.
-        session: what is played; it outlives connections.
-    """
+    """The application of a session, for one page at a time: a new one replaces another."""
 
     def __init__(self, guard: Guard, session: Session) -> None:
         self.session = session
@@ -51,10 +42,8 @@ class PlayServer:
         self._wake = asyncio.Event()  # there may be something to send
         self._asking: asyncio.Task[None] | None = None
         self.app = Starlette(
-            routes=[  # none takes a file path from requests, so none can leave the page's folder
-                *(Route(path, _page_file(*file)) for path, file in PAGE_FILES.items()),
-                WebSocketRoute("/socket", self._play),
-            ],
+            # No route takes a file path from requests, so none can leave the page's folder.
+            routes=[*map(_page_route, PAGE_FILES), WebSocketRoute("/socket", self._play)],
             lifespan=self._lifespan,
             middleware=[Middleware(GuardMiddleware, guard=guard, public=PAGE_FILES)],
         )
@@ -69,25 +58,24 @@ class PlayServer:
     async def _play(self, socket: WebSocket) -> None:
         """Follow the messages of one page until it leaves or is replaced."""
         await socket.accept()
+        self.session.joined()
         replaced, self._socket = self._socket, socket
+        self._wake.set()
         if replaced:
             with suppress(RuntimeError):  # meanwhile closed by its page
                 await replaced.close(REPLACED)
-        self.session.joined()
-        self._wake.set()
         while (event := await socket.receive())["type"] != "websocket.disconnect":
-            if self._socket is socket:
-                self._handle(event.get("text") or "")  # empty: a binary message
+            if self._socket is not socket:
+                continue
+            try:
+                message = parse_message(event.get("text") or "")  # empty: a binary message
+                self.session.handle(message, monotonic())
+            except MessageError as error:
+                self.session.note_problem(error)
+            self._wake.set()
         if self._socket is socket:
             self._socket = None
             self.session.pause()
-
-    def _handle(self, text: str) -> None:
-        try:
-            self.session.handle(parse_message(text), monotonic())
-        except MessageError as error:
-            self.session.note_problem(error)
-        self._wake.set()
 
     async def _send(self) -> None:
         while True:
@@ -96,36 +84,30 @@ class PlayServer:
             with suppress(WebSocketDisconnect, RuntimeError):  # closed; `_play` notes it
                 while (socket := self._socket) and (parts := self.session.take_update(monotonic())):
                     for part in parts:
-                        if isinstance(part, str):
-                            await socket.send_text(part)
-                        else:
-                            await socket.send_bytes(part)
+                        kind = "text" if isinstance(part, str) else "bytes"
+                        await socket.send({"type": "websocket.send", kind: part})
 
     async def _run_clock(self) -> None:
         while True:
             await asyncio.sleep(max(0.0, self.session.step_at - monotonic()))
             self.session.advance(monotonic())
-            if question := self.session.take_question():
-                self._asking = asyncio.create_task(self._ask(question))
+            if driver := self.session.take_question():
+                self._asking = asyncio.create_task(self._ask(driver))
             self._wake.set()
 
-    async def _ask(self, question: Callable[[], None]) -> None:
-        await asyncio.to_thread(question)  # a network or a planner must not hold up the page
-        self.session.note_change()
+    async def _ask(self, driver: Driver) -> None:
+        await asyncio.to_thread(driver.ask)  # a network or a planner must not hold up the page
+        self.session.changes += 1
         self._wake.set()
 
 
-def _page_file(name: str, media_type: str) -> Callable[[Request], Response]:
-    content = (PAGE / name).read_bytes()
-    return lambda _: Response(content, media_type=media_type)
+def _page_route(path: str) -> Route:
+    name, kind = PAGE_FILES[path]
+    return Route(path, Response((PAGE / name).read_bytes(), media_type=kind), methods=["GET"])
 
 
 def listen(host: str, port: int) -> sockets.socket:
-    """A socket that listens on an address; port 0 picks a free port.
-
-    Raises:
-        ServerError: the address is not this machine's, or is in use.
-    """
+    """A socket that listens on an address; raises `MagicalError` if that is impossible."""
     try:
         family = sockets.AF_INET6 if ":" in host else sockets.AF_INET
         dual = host == "::" and sockets.has_dualstack_ipv6()
@@ -134,7 +116,7 @@ def listen(host: str, port: int) -> sockets.socket:
         tcp = (family, sockets.SOCK_STREAM, sockets.IPPROTO_TCP)
         return sockets.socket(*tcp, fileno=listening.detach())
     except (OSError, OverflowError) as error:
-        raise ServerError(
+        raise MagicalError(
             f"cannot listen on {host}, port {port}: {error}; choose another --host or --port (0 "
             "takes a free port)"
         ) from error

@@ -1,7 +1,6 @@
 """The session of a server: what is played or watched, its clock, who acts, what is recorded.
 
-Time is passed in, in seconds of any monotonic clock; nothing here waits, reads a clock or knows
-about sockets.
+Time is passed in, in seconds of any monotonic clock; nothing here waits or knows about sockets.
 """
 
 import json
@@ -9,7 +8,6 @@ import traceback
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from enum import StrEnum
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,20 +20,9 @@ from magical.envs.keys import Control, action_of
 from magical.envs.seeds import sample_training_seeds
 from magical.errors import MagicalError
 from magical.scene.constants import CONTROL_RATE
-from magical_play.episodes import PlayedEpisode, RecordedEpisode, in_words, instruction, joined
-from magical_play.messages import (
-    Episodes,
-    Keep,
-    Keys,
-    Message,
-    MessageError,
-    Press,
-    Seek,
-    Show,
-    Speed,
-    Start,
-    Watch,
-)
+from magical_play import messages
+from magical_play.episodes import PlayedEpisode, RecordedEpisode, in_words, joined
+from magical_play.messages import Message, MessageError
 from magical_play.policies import Driver, Policies
 
 STEP_TIME = 1.0 / CONTROL_RATE  # s
@@ -54,21 +41,13 @@ class Phase(StrEnum):
 
 
 class Session:
-    """One person's environment or watched episode, driven by messages and by the clock.
+    """One person's environment or recorded episode, driven by messages and by the clock.
 
     The environment steps at 8 Hz from the first key press to the horizon. A key that was pressed
     and released between two steps counts for the next one. A watched policy acts from the start
     until a key is pressed, and again after control is handed back to it.
 
-    Args:
-        env_id: the first environment.
-        policies: the policies that can be watched.
-        datasets: folders of datasets whose episodes can be watched.
-        writer: stores the episodes that are kept; `None`: nothing is recorded.
-        rng: samples the seeds of scenes; by default a new generator.
-
-    Raises:
-        MagicalError: the environment could not be started.
+    It starts in `env_id`, offers policies and the episodes of datasets, and stores with `writer`.
     """
 
     def __init__(
@@ -77,20 +56,20 @@ class Session:
         policies: Policies,
         datasets: Sequence[Path] = (),
         writer: DatasetWriter | None = None,
-        rng: np.random.Generator | None = None,
     ) -> None:
+        self.phase = Phase.READY
         self.view = "allo"
         self.notice = ""  # says what went wrong
         self.kept = 0  # number of stored episodes
         self.step_at = 0.0  # when `advance` should be called next
         self._policies, self._datasets, self._writer = policies, datasets, writer
-        self._rng = rng or np.random.default_rng()
+        self._rng = np.random.default_rng()  # samples the seeds of scenes
         self._tasks = tuple(dict.fromkeys((*TASKS, env_id.task)))  # that the page offers
         self._seed: int | None = None  # of the episodes; None: each has another
         self._speed = 1.0  # of watched episodes
         self._held: frozenset[Control] = frozenset()
         self._pressed: frozenset[Control] = frozenset()  # since the last step
-        self._changes = 0  # counts changes that the page should show; also the frame number
+        self.changes = 0  # counts changes that the page should show; also the frame number
         self._shown = -1  # the change that was sent last
         self._unseen: deque[int] = deque()  # frames that were sent but not confirmed
         self._heard_at = 0.0  # when the page spoke last, or got a frame while all were confirmed
@@ -105,11 +84,14 @@ class Session:
         self._unseen.clear()
         self._replies = [self._offer()]
         self.pause()
-        self.note_change()
+        self.changes += 1
 
-    def note_change(self) -> None:
-        """Note that there is something new to show."""
-        self._changes += 1
+    def pause(self, notice: str = "") -> None:
+        """Stop the clock of a running episode, and say why."""
+        self._pressed = frozenset()
+        if self.phase is Phase.PLAYING:
+            self.phase, self.notice = Phase.PAUSED, notice
+            self.changes += 1
 
     def note_problem(self, error: Exception) -> None:
         """Say what went wrong; what is not an error of ours is shown in the terminal too."""
@@ -117,7 +99,7 @@ class Session:
         if not isinstance(error, MagicalError):
             traceback.print_exception(error)
             self.notice = f"{type(error).__name__}: {error}"
-        self.note_change()
+        self.changes += 1
 
     def take_update(self, now: float) -> list[str | bytes]:
         """What to send now: replies as JSON, and status and frame if something has changed.
@@ -127,24 +109,24 @@ class Session:
         """
         update: list[str | bytes] = [json.dumps(reply) for reply in self._replies]
         self._replies = []
-        if self._changes != self._shown and len(self._unseen) < MAX_UNSEEN:
+        if self.changes != self._shown and len(self._unseen) < MAX_UNSEEN:
             self._heard_at = self._heard_at if self._unseen else now
-            self._shown = self._changes
-            self._unseen.append(self._changes)
+            self._shown = self.changes
+            self._unseen.append(self.changes)
             update += [json.dumps(self.status()), self.episode.frame(self.view)]
         return update
 
     def handle(self, message: Message, now: float) -> None:
         """Do what a message asks for, or note why that cannot be done."""
         self._heard_at = now
-        if isinstance(message, Keys):
+        if isinstance(message, messages.Keys):
             while self._unseen and self._unseen[0] <= message.seen:
                 self._unseen.popleft()
             self._hold(message.held, now)
         else:
             self.notice = ""
             self._attempt(lambda: self._follow(message))
-            self.note_change()
+            self.changes += 1
         self.advance(now)
 
     def _attempt(self, work: Callable[[], None]) -> None:
@@ -157,55 +139,41 @@ class Session:
 
     def _follow(self, message: Message) -> None:
         match message:
-            case Start(env_id, seed, policy):
+            case messages.Start(env_id, seed, policy):
                 self._require_decision()
                 self._begin(parse_env_id(env_id), seed, policy)
                 self._seed = seed
-            case Press(button):
-                getattr(self, button)()
-            case Show(view):
-                self.view = view
-            case Keep(demonstrator):
+            case messages.Press("pause"):
+                self.pause()
+            case messages.Press(button):
+                getattr(self, f"_{button}")()
+            case messages.Show(view, speed):
+                self.view, self._speed = view, speed
+            case messages.Keep(demonstrator):
                 self._keep(demonstrator)
-            case Episodes(dataset):
-                self._replies.append(self._list(dataset))
-            case Watch(dataset, episode):
-                self._require_decision()
+            case messages.Watch(dataset, episode):
                 self._watch(dataset, episode)
-            case Seek(step):
+            case messages.Seek(step):
                 self._seek(step)
-            case Speed(speed):
-                self._speed = speed
 
-    # The buttons of `Press`
+    # The other buttons of `Press`
 
-    def restart(self) -> None:
-        """Restart the episode in the same scene, or show a recorded one from its start."""
+    def _restart(self) -> None:
         self._require_decision()
         if isinstance(self.episode, PlayedEpisode):
             self._begin(self.episode.env_id, self.episode.seed, self._policy)
         else:
             self.episode.steps, self.phase = 0, Phase.PLAYING
 
-    def pause(self, notice: str = "") -> None:
-        """Stop the clock of a running episode, and say why."""
-        self._pressed = frozenset()
-        if self.phase is Phase.PLAYING:
-            self.phase, self.notice = Phase.PAUSED, notice
-            self.note_change()
-
-    def resume(self) -> None:
-        """Start the clock again."""
+    def _resume(self) -> None:
         if self.phase is Phase.PAUSED:
             self.phase = Phase.PLAYING
 
-    def discard(self) -> None:
-        """Drop the finished episode."""
+    def _discard(self) -> None:
         self._require_finished("discard")
         self._begin(self.episode.env_id, self._seed, self._policy)
 
-    def hand_back(self) -> None:
-        """Let the policy act, after the person has taken over or paused it."""
+    def _hand_back(self) -> None:
         if self._driver is None or self.phase is Phase.ENDED:
             raise MessageError("hand back: there is no policy to hand back to")
         self._policy_acts = True
@@ -217,16 +185,13 @@ class Session:
     def _begin(self, env_id: EnvId, seed: int | None, policy: int | None) -> None:
         """Begin an episode: at once with a policy, otherwise at the first key press."""
         chosen = sample_training_seeds(self._rng, 1)[0] if seed is None else seed
-        driver = None if policy is None else self._policies.driver(policy, env_id, chosen)
-        self.episode: PlayedEpisode | RecordedEpisode = PlayedEpisode(env_id, chosen)
-        self._driver: Driver | None = driver
+        episode = PlayedEpisode(env_id, chosen)
+        driver = None if policy is None else self._policies.driver(policy, episode)
+        self.episode: PlayedEpisode | RecordedEpisode = episode
+        self._driver, self._policy = driver, policy
         self._policy_acts = driver is not None
         self._pressed = frozenset()
         self.phase = Phase.READY if driver is None else Phase.PLAYING
-
-    @property
-    def _policy(self) -> int | None:
-        return self._driver.number if self._driver else None
 
     def _hold(self, held: frozenset[Control], now: float) -> None:
         new, self._held = held - self._held, held
@@ -237,40 +202,34 @@ class Session:
         if self.phase in (Phase.READY, Phase.PAUSED):
             self.phase, self.notice = Phase.PLAYING, ""
             self.step_at = now
-        self.note_change()
+        self.changes += 1
 
-    def take_question(self) -> Callable[[], None] | None:
-        """What asks the policy, once in each state, and may take long; `None`: nothing to ask."""
-        episode, driver = self.episode, self._driver
-        if isinstance(episode, RecordedEpisode) or driver is None or driver.is_asked:
-            return None
-        if self.phase is Phase.ENDED:
+    def take_question(self) -> Driver | None:
+        """The policy to be asked now, which is once in each state and may take long."""
+        driver = self._driver
+        if driver is None or driver.is_asked or self.phase is Phase.ENDED:
             return None
         driver.is_asked = True
-        return partial(driver.ask, episode.state, episode.actions[-1] if episode.actions else None)
+        return driver
 
     # Watching recorded episodes
 
-    def _open(self, number: int) -> Dataset:
-        if number >= len(self._datasets):
-            raise MessageError(f"expected one of {len(self._datasets)} datasets, found {number}")
-        return Dataset.open(self._datasets[number])
-
-    def _list(self, dataset: int) -> Mapping[str, Any]:
-        """The episodes of a dataset, newest first, with their numbers."""
-        listed = []
-        for number, entry in enumerate(self._open(dataset).entries):
-            place = f"{entry.env_id.task} {entry.env_id.variant}"
-            about = f"{place}, {entry.final_score:.2f}, {entry.demonstrator}"
-            listed.append([number, about if entry.seed is None else f"{about}, seed {entry.seed}"])
-        return {"type": "episodes", "dataset": dataset, "episodes": listed[::-1]}
-
-    def _watch(self, dataset: int, number: int) -> None:
-        found = self._open(dataset)
+    def _watch(self, dataset: int, number: int | None) -> None:
+        if dataset >= len(self._datasets):
+            raise MessageError(f"expected one of {len(self._datasets)} datasets, found {dataset}")
+        found = Dataset.open(self._datasets[dataset])
+        if number is None:
+            listed = [
+                (i, e.env_id.task, e.env_id.variant, e.final_score, e.demonstrator, e.seed)
+                for i, e in enumerate(found.entries)
+            ]
+            self._replies += [{"type": "episodes", "dataset": dataset, "episodes": listed[::-1]}]
+            return
+        self._require_decision()
         if number >= len(found):
             raise MessageError(f"expected one of {len(found)} episodes, found number {number}")
         self.episode, self._driver = RecordedEpisode(found[number]), None
-        self.phase = Phase.PLAYING
+        self.phase, self._policy = Phase.PLAYING, None
 
     def _seek(self, step: int) -> None:
         if isinstance(self.episode, PlayedEpisode):
@@ -326,7 +285,7 @@ class Session:
                 late = now - self.step_at > step_time
                 self.step_at = step_time + (now if late else self.step_at)
                 self._attempt(self._step)
-                self.note_change()
+                self.changes += 1
 
     def _step(self) -> None:
         episode, driver = self.episode, self._driver
@@ -360,14 +319,14 @@ class Session:
         choice = None if driver is None or driver.choice is None else in_words(driver.choice)
         return {
             "type": "status",
-            "number": self._changes,
+            "number": self.changes,
             "phase": self.phase,
             "is_recorded": isinstance(episode, RecordedEpisode),
             "env_id": episode.env_id,
             "task": episode.env_id.task,
             "variant": episode.env_id.variant,
             "seed": episode.seed,
-            "goal": instruction(episode),
+            "goal": episode.env_id.task_spec.instruction(episode.scene),
             "view": self.view,
             "steps": episode.steps,
             "length": episode.length,
@@ -377,7 +336,7 @@ class Session:
             "can_keep": self.can_keep,
             "kept": self.kept,
             "notice": self.notice,
-            "policy": driver.number if driver else None,
+            "policy": self._policy,
             "policy_name": driver.name if driver else None,
             "policy_acts": self._policy_acts,
             "proposed": joined(choice),

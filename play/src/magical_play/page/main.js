@@ -68,17 +68,18 @@ function showOffer(message) {
   fill(element("dataset"), [...offer.datasets.entries()]);
   element("recorded").hidden = !offer.datasets.length;
   listEpisodes();
-  const view = localStorage.getItem("view");
-  if (view) send({ type: "view", view });
-  send({ type: "speed", speed: Number(element("speed").value) });
+  show();
 }
 
 function listEpisodes() {
-  if (offer.datasets.length) send({ type: "episodes", dataset: Number(element("dataset").value) });
+  const dataset = Number(element("dataset").value);
+  if (offer.datasets.length) send({ type: "watch", dataset, episode: null });
 }
 
 function showEpisodes({ dataset, episodes }) {
-  if (dataset === Number(element("dataset").value)) fill(element("episodes"), episodes);
+  if (dataset !== Number(element("dataset").value)) return;
+  fill(element("episodes"), episodes.map(([number, task, variant, score, by, seed]) =>
+    [number, `${task} ${variant}, ${score.toFixed(2)}, ${by}, seed ${seed ?? "unknown"}`]));
 }
 
 function showFrame(blob, number) {
@@ -118,7 +119,6 @@ function showStatus(message) {
   element("pause-text").textContent = phase === "playing" ? "Pause" : "Resume";
   element("restart").disabled = element("new").disabled = deciding;
   element("name-label").hidden = !message.recording;
-  element("view").value = message.view;
   if (message.recording) say(`Recording; ${message.kept} kept`, "good");
   showPolicy(message);
   showPrompt(message);
@@ -203,6 +203,11 @@ function command(key) {
   return Boolean(act);
 }
 
+function show() {
+  const [view, speed] = [element("view").value, Number(element("speed").value)];
+  send({ type: "show", view, speed });
+}
+
 function submit(event) {
   event.preventDefault();
   const seed = element("seed").value === "" ? null : element("seed").valueAsNumber;
@@ -231,10 +236,9 @@ on("episodes", "change", () => {
   send({ type: "watch", dataset, episode });
 });
 on("step", "input", () => seek(element("step").valueAsNumber));
-on("speed", "change", () => send({ type: "speed", speed: Number(element("speed").value) }));
-on("view", "change", () => send({ type: "view", view: element("view").value }));
-element("name").value = localStorage.getItem("name") ?? "";
+for (const id of ["speed", "view"]) on(id, "change", show);
 for (const id of ["view", "name"]) {
+  element(id).value = localStorage.getItem(id) ?? element(id).value;
   on(id, "change", () => localStorage.setItem(id, element(id).value));
 }
 document.addEventListener("visibilitychange", () => document.hidden && press("pause"));
