@@ -8,12 +8,12 @@ from pathlib import Path
 
 from magical.tasks import TASKS
 from magical_baselines.data.expert_data import sample_demonstrations
-from magical_goals.intent.picture import draw_beliefs
 from magical_goals.intent.posterior import Belief
 from magical_goals.language.programs import program_of
 from magical_goals.objects.data import parse_demonstrations
 from magical_goals.objects.parser import parse_frames
 from magical_goals.program_bc import ProgramBCConfig, infer_beliefs
+from studies.intent.picture import draw_beliefs
 from tools.readme_tables import table
 
 DEMONSTRATIONS = 10

@@ -22,8 +22,8 @@ from magical.scene.constants import FRAME_SIZE
 from magical.scene.poses import ROBOT
 from magical_baselines.policy import load_policy
 from magical_goals.intent.acting import Intention
+from magical_goals.intent.demonstrator import parsed_poses, parsed_scene
 from magical_goals.intent.posterior import Belief, Explanation
-from magical_goals.intent.scenes import parsed_poses, parsed_scene
 from magical_goals.language.programs import program_of
 from magical_goals.objects.control import ROBOT_TARGET
 from magical_goals.objects.data import track
