@@ -16,7 +16,7 @@ import importlib
 import importlib.util
 import shlex
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from functools import cache
@@ -77,25 +77,28 @@ class Registry(Generic[T]):
         return thing
 
 
+@cache
 def plugins(group: str) -> "Mapping[str, list[EntryPoint]]":
     """What other distributions offer in a group of entry points, by name; none is imported."""
-    return _entries(group)[False]
-
-
-def families(group: str) -> "Mapping[str, list[EntryPoint]]":
-    """As `plugins`, for families, by pattern."""
-    return _entries(group)[True]
+    return group_by((e for e in _entries(group) if not _is_pattern(e.name)), attrgetter("name"))
 
 
 @cache
-def _entries(group: str) -> "Mapping[bool, Mapping[str, list[EntryPoint]]]":
-    """Families (True) and others (False), by name."""
+def families(group: str) -> "Mapping[str, list[EntryPoint]]":
+    """As `plugins`, for families, by pattern."""
+    return group_by((e for e in _entries(group) if _is_pattern(e.name)), attrgetter("name"))
+
+
+def _entries(group: str) -> "Iterable[EntryPoint]":
     if not _any_offered():
-        return {False: {}, True: {}}
+        return ()
     from importlib.metadata import entry_points  # takes tens of milliseconds and is seldom needed
 
-    found = group_by(entry_points(group=group), lambda entry: any(c in "*?[" for c in entry.name))
-    return {kind: group_by(found.get(kind, ()), attrgetter("name")) for kind in (False, True)}
+    return entry_points(group=group)
+
+
+def _is_pattern(name: str) -> bool:
+    return any(character in "*?[" for character in name)
 
 
 def family_of(group: str, name: str) -> str | None:

@@ -21,26 +21,16 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_count(parser, "--top", "programs to print for each task", default=5)
     meaning = "scenes of each variant to average the confidence over"
     add_count(parser, "--scenes", meaning, default=10, least=0)
-    parser.add_argument(
-        "--picture",
-        type=Path,
-        metavar="FILE",
-        help="also draw what the policy would move first in each task's Demo scene, and where to",
-    )
     add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Print, task by task."""
     from magical_goals.intent.acting import confidence_by_variant
-    from magical_goals.intent.picture import draw_beliefs
     from magical_goals.program_bc import beliefs_of
 
-    beliefs = beliefs_of(args.folder)
-    if args.picture:
-        draw_beliefs(beliefs, args.picture)
     found = {}
-    for task, belief in beliefs.items():
+    for task, belief in beliefs_of(args.folder).items():
         top = belief.explanations[: args.top]
         print_table(("probability", task), [(f"{e.weight:.3f}", repr(e.program)) for e in top])
         print(f"{belief.verdict}\n")

@@ -34,8 +34,8 @@ from magical_baselines.data import load_demonstrations
 from magical_baselines.policy import TrainedPolicy, load_policy, sample_actions, to_inputs
 from magical_baselines.training import Purpose, Run, seeded_init, stream
 from magical_goals.intent.acting import Intention
+from magical_goals.intent.demonstrator import parsed_episode, parsed_poses, parsed_scene
 from magical_goals.intent.posterior import Belief, Explanation, infer
-from magical_goals.intent.scenes import parsed_episode, parsed_poses, parsed_scene
 from magical_goals.language import parse
 from magical_goals.object_bc import (
     ObjectBCConfig,
@@ -205,12 +205,7 @@ def infer_beliefs(
 
 
 def beliefs_of(run: Path) -> dict[str, Belief]:
-    """The beliefs that the policy of a run folder has about each of its tasks.
-
-    Raises:
-        RunFolderError: not a run folder, a damaged one, or a run of another algorithm.
-        CheckpointError: no checkpoint yet, or a damaged one.
-    """
+    """The beliefs of a run's policy, by task; raises `RunFolderError` or `CheckpointError`."""
     policy = load_policy(run, device="cpu")
     if not isinstance(policy, ProgramPolicy):
         raise RunFolderError(

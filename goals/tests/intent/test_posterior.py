@@ -12,10 +12,16 @@ from magical.scene import Poses, Scene
 from magical.scene.poses import FIRST_BLOCK
 from magical.tasks import TASKS
 from magical_goals.intent import demonstrator
-from magical_goals.intent.demonstrator import MOVE_COST, RATIONALITY, SLIPS, Episode
+from magical_goals.intent.demonstrator import (
+    MOVE_COST,
+    RATIONALITY,
+    SLIPS,
+    Episode,
+    moves,
+    parsed_episode,
+)
 from magical_goals.intent.meanings import Language
 from magical_goals.intent.posterior import Belief, infer
-from magical_goals.intent.scenes import moves, parsed_episode
 from magical_goals.language import Goal, parse
 from magical_goals.language.goals import States, Together, ways_at_start
 from magical_goals.language.parsing import bits_of_part

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from magical_goals.planning.motion import PRIOR, Floats
-from magical_goals.planning.remaining import FIT, steps_to_grasp, steps_to_place
+from magical_goals.planning.planner import FIT, steps_to_grasp, steps_to_place
 from magical_goals.planning.routes import Search
 
 NOTHING = np.zeros((0, 2))

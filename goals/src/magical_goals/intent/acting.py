@@ -21,7 +21,7 @@ from magical_goals.intent.posterior import Belief
 from magical_goals.language.expressions import Floats
 from magical_goals.language.goals import Goal, States, problem
 from magical_goals.objects.control import GRIP, ROBOT_TARGET
-from magical_goals.planning.remaining import APART, BLOCK_ROOM
+from magical_goals.planning.planner import APART, BLOCK_ROOM
 from magical_goals.planning.routes import MOVED, Routes
 
 GOALS = 8  # the most probable ones, which are acted on
@@ -41,10 +41,7 @@ class Intention:
     """The belief in one episode, and the current move."""
 
     def __init__(self, belief: Belief, scene: Scene) -> None:
-        """Find the goals that the belief's programs express in the scene.
-
-        Programs that are not valid tasks there are left out.
-        """
+        """Find the goals that the belief's programs express in the scene, if valid there."""
         self.scene = scene
         goals: dict[Goal, float] = {}
         for program, weight in belief.explanations if belief.is_explained else ():
@@ -90,10 +87,7 @@ class Intention:
         return found
 
     def confidence(self, poses: Poses) -> float:
-        """The probability that the decision is right: that its thing, or nothing, has to move.
-
-        It is 0 if no program fits the scene.
-        """
+        """The probability that what is decided has to move; 0 if no program fits the scene."""
         if not self.is_known:
             return 0.0
         decision = self.decide(poses)
@@ -158,10 +152,7 @@ class Intention:
 
 
 def confidence_by_variant(belief: Belief, task: str, scenes: int) -> dict[str, float]:
-    """Mean `Intention.confidence` over sampled scenes of each of a task's variants.
-
-    The scenes are the same every time.
-    """
+    """Mean `Intention.confidence` over sampled scenes, the same every time, of each variant."""
     found = {}
     for variant in get_task(task).variants:
         rng = np.random.default_rng(0)

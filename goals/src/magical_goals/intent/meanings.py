@@ -12,31 +12,10 @@ from itertools import combinations, product
 from typing import TypeVar, cast
 
 from magical.scene import Scene
-from magical_goals.language.expressions import (
-    AllBlocks,
-    AllBut,
-    And,
-    Attribute,
-    Beside,
-    Blocks,
-    Expression,
-    Or,
-    Place,
-    Selection,
-)
-from magical_goals.language.goals import (
-    Clustered,
-    Each,
-    Every,
-    Exactly,
-    Goal,
-    Lined,
-    OneOf,
-    Only,
-    RobotInside,
-    Together,
-    Undisturbed,
-)
+from magical_goals.language import expressions as e
+from magical_goals.language import goals as g
+from magical_goals.language.expressions import Blocks, Expression, Place, Selection
+from magical_goals.language.goals import Goal
 from magical_goals.language.parsing import bits_of_part, choice, simple_expressions
 
 Named = tuple[Blocks, ...]  # the blocks that a selection names in each scene
@@ -59,20 +38,15 @@ class Chosen(Selection):
 
 @dataclass(frozen=True)
 class Meaning:
-    """A set of goals that are equivalent in all scenes.
+    """A set of goals that are equivalent in all scenes."""
 
-    Attributes:
-        goal: the most probable one.
-        weight: their total prior probability.
-    """
-
-    goal: Goal
-    weight: float
+    goal: Goal  # the most probable one
+    weight: float  # their total prior probability
 
     def __and__(self, other: "Meaning") -> "Meaning":
         """Both goals together, in either order."""
-        weight = 2 * _probability(choice(Together)) * self.weight * other.weight
-        return Meaning(Together(self.goal, other.goal), weight)
+        weight = 2 * _probability(choice(g.Together)) * self.weight * other.weight
+        return Meaning(g.Together(self.goal, other.goal), weight)
 
 
 class Language:
@@ -98,40 +72,44 @@ class Language:
 
     def _selections(self) -> Iterator[tuple[Selection, float, Named]]:
         """Selections of at most two parts, their bits, and the blocks that they name."""
-        everything = self.named_by(AllBlocks())
+        everything = self.named_by(e.AllBlocks())
         single = [(s, bits_of_part(s), self.named_by(s)) for s in simple_expressions(Selection)]
-        but = choice(AllBut)
+        but = choice(e.AllBut)
         negated = [
-            (AllBut(s), but + bits, tuple(map(operator.sub, everything, named)))
+            (e.AllBut(s), but + bits, tuple(map(operator.sub, everything, named)))
             for s, bits, named in single
         ]
         yield from (*single, *negated)
         known = [each for each in single if all(each[2])]
         for (a, bits_a, in_a), (b, bits_b, in_b) in combinations(known, 2):
             both = bits_a + bits_b
-            yield And(a, b), choice(And) + both, _and(in_a, in_b)
-            yield Or(a, b), choice(Or) + both, tuple(map(operator.or_, in_a, in_b))
+            yield e.And(a, b), choice(e.And) + both, tuple(map(operator.and_, in_a, in_b))
+            yield e.Or(a, b), choice(e.Or) + both, tuple(map(operator.or_, in_a, in_b))
         for (a, bits_a, in_a), (b, bits_b, in_b) in product(known, negated):
             if a != b.selection:
-                yield And(a, b), choice(And) + bits_a + bits_b, _and(in_a, in_b)
+                yield (
+                    e.And(a, b),
+                    choice(e.And) + bits_a + bits_b,
+                    tuple(map(operator.and_, in_a, in_b)),
+                )
 
     def meanings(self) -> Iterator[Meaning]:
         """The meanings of all goals of one part."""
         alternatives = self.alternatives.values()
         chosen = [(max(each, key=each.__getitem__), sum(each.values())) for each in alternatives]
         places = [(place, _probability(bits_of_part(place))) for place in simple_expressions(Place)]
-        beside = _probability(choice(Beside))
-        of_one_part = [each for each in chosen if not isinstance(each[0], AllBut | And | Or)]
-        places += [(Beside(selection), beside * weight) for selection, weight in of_one_part]
-        for kind in (Each, Every, OneOf):
+        beside = _probability(choice(e.Beside))
+        of_one_part = [each for each in chosen if not isinstance(each[0], e.AllBut | e.And | e.Or)]
+        places += [(e.Beside(selection), beside * weight) for selection, weight in of_one_part]
+        for kind in (g.Each, g.Every, g.OneOf):
             of_kind = _probability(choice(kind))
             for (selection, weight), (place, of_place) in product(chosen, places):
                 yield Meaning(kind(selection, place), of_kind * weight * of_place)
-        for simple in (Exactly, Only, Undisturbed, Lined):
+        for simple in (g.Exactly, g.Only, g.Undisturbed, g.Lined):
             of_kind = _probability(choice(simple))
             yield from (Meaning(simple(each), of_kind * weight) for each, weight in chosen)
         several = all(len(scene.blocks) > 1 for scene in self.scenes)
-        for goal in (*(map(Clustered, Attribute) if several else ()), RobotInside()):
+        for goal in (*(map(g.Clustered, e.Attribute) if several else ()), g.RobotInside()):
             yield Meaning(goal, _probability(bits_of_part(goal)))
 
     def literal(self, goal: Goal, number: int) -> Goal:
@@ -157,10 +135,6 @@ class Language:
 
 def _probability(bits: float) -> float:
     return float(2.0**-bits)
-
-
-def _and(a: Named, b: Named) -> Named:
-    return tuple(map(operator.and_, a, b))
 
 
 def outer_selections(expression: Expression) -> Iterator[Selection]:

@@ -37,18 +37,11 @@ class Explanation(NamedTuple):
 
 
 class Belief(NamedTuple):
-    """The belief about a task.
+    """The belief about a task."""
 
-    Attributes:
-        explanations: the most probable first.
-        unexplained: the probability that there is no program.
-        largest: the probability of the most probable meaning in all its wordings, given that there
-            is a program.
-    """
-
-    explanations: Sequence[Explanation]
-    unexplained: float
-    largest: float
+    explanations: Sequence[Explanation]  # the most probable first
+    unexplained: float  # the probability that there is no program
+    largest: float  # that of the most probable meaning in all its wordings, if there is one
 
     @property
     def is_explained(self) -> bool:

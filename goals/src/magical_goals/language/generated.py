@@ -67,23 +67,14 @@ TRAINING = tuple(name for name in map(task_name, SUITE) if name not in HELD_OUT)
 
 @dataclass(frozen=True, slots=True)
 class Goals:
-    """Goals of one form: how often they are sampled, and what their scenes contain.
+    """Goals of one form: how often they are sampled, and what their scenes contain."""
 
-    Attributes:
-        weight: relative to the weights of the others.
-        sample_fn: samples a goal.
-        regions: minimum and maximum number in its scenes.
-        encloses: whether a block starts inside each region.
-        outside: minimum and maximum number of blocks that start outside the regions.
-        horizon: control steps.
-    """
-
-    weight: float
+    weight: float  # relative to the weights of the others
     sample_fn: Callable[[Rng], Goal]
-    regions: tuple[int, int] = (0, 0)
-    encloses: bool = False
-    outside: tuple[int, int] = OUTSIDE
-    horizon: int = HORIZON
+    regions: tuple[int, int] = (0, 0)  # minimum and maximum number
+    encloses: bool = False  # whether a block starts inside each region
+    outside: tuple[int, int] = OUTSIDE  # minimum and maximum number of blocks outside the regions
+    horizon: int = HORIZON  # control steps
 
     @property
     def placement(self) -> Placement:

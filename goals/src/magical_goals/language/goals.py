@@ -8,6 +8,7 @@ import math
 import re
 from dataclasses import dataclass
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,13 +49,7 @@ UNFINISHED = 0.5  # fixed cost in `progress` of every block that must move, in u
 
 
 class States:
-    """P states of an episode with N blocks.
-
-    Attributes:
-        scene: the episode's initial scene.
-        robot: (P, 2) the robot's position, in units.
-        points: (P, N, 2) the blocks' centres, in units.
-    """
+    """P states of an episode: positions of the robot (P, 2) and of N blocks (P, N, 2)."""
 
     def __init__(self, scene: Scene, bodies: Floats) -> None:
         """Take poses (P, 5 + N, 3) as in `Poses.bodies`."""
@@ -114,10 +109,11 @@ class Goal(Expression):
 
 @dataclass(frozen=True, repr=False)
 class _OfBlocks(Goal):
+    moves: ClassVar[bool] = True  # whether the goal is about the selected blocks
     selection: Selection
 
     def moved(self, scene: Scene) -> Blocks:
-        return self.selection.blocks(scene)
+        return self.selection.blocks(scene) if self.moves else frozenset()
 
 
 @dataclass(frozen=True, repr=False)
@@ -186,6 +182,8 @@ class OneOf(_Placed):
 class Only(_OfBlocks):
     """No others in the regions: 1 minus the share of other blocks among those in regions."""
 
+    moves = False
+
     def score(self, scene: Scene, poses: Poses) -> float:
         points, chosen = positions(scene, poses), self.selection.blocks(scene)
         inside = {i for i in range(len(points)) if InRegion().degree(scene, i, points)}
@@ -193,9 +191,6 @@ class Only(_OfBlocks):
 
     def ways(self, states: States) -> Floats:
         return self.others.ways(states)
-
-    def moved(self, scene: Scene) -> Blocks:
-        return frozenset()
 
     def instruction(self, scene: Scene) -> str:
         return f"Keep all other blocks out of {name_regions(scene, 'any')}."
@@ -227,6 +222,8 @@ class Exactly(_OfBlocks):
 class Undisturbed(_OfBlocks):
     """1 if every region in which a selected block starts has the same blocks at the end, else 0."""
 
+    moves = False
+
     def score(self, scene: Scene, poses: Poses) -> float:
         left, came = self._changes(scene, np.reshape(positions(scene, poses), (-1, 2)))
         return float(not (left | came).any())
@@ -237,9 +234,6 @@ class Undisturbed(_OfBlocks):
         has_come, moves = (np.logical_or.reduce(each, axis=-1) for each in (came, left | came))
         units = np.where(has_come, states.units(OutOfRegions()), back.max(axis=-1, initial=0.0))
         return _one_way(states, slice(len(states.scene.blocks)), units, moves)
-
-    def moved(self, scene: Scene) -> Blocks:
-        return frozenset()
 
     def instruction(self, scene: Scene) -> str:
         what = describe(self.selection, scene)

@@ -15,24 +15,15 @@ from magical.experts.state_view import StateView
 from magical.scene import Poses
 from magical.scene.geometry import Point
 from magical.scene.poses import FIRST_BLOCK
-from magical_goals.language.expressions import InOwnColour, InRegion, OutOfRegions, Place, value_of
-from magical_goals.language.goals import (
-    Clustered,
-    Each,
-    Every,
-    Exactly,
-    Goal,
-    Lined,
-    OneOf,
-    Only,
-    Together,
-    Undisturbed,
-)
+from magical_goals.language import expressions as e
+from magical_goals.language import goals as g
+from magical_goals.language.expressions import Place, value_of
+from magical_goals.language.goals import Goal
 from magical_goals.language.programs import program_of
 
 MARGIN = 0.06  # units within a corner, wall zone or neighbourhood to aim for
 TOLERANCE = 0.06  # units
-PLACED = Each | Every | OneOf  # goals that blocks are at places
+PLACED = g.Each | g.Every | g.OneOf  # goals that blocks are at places
 AROUND = MARGIN * np.array([(1, 0), (-1, 0), (0, 1), (0, -1)])  # (4, 2)
 
 
@@ -43,14 +34,14 @@ def planner_of(task: str) -> Planner:
 
 def program_planner(program: Goal) -> Planner:
     """The planner for a program."""
-    if isinstance(program, Clustered):
+    if isinstance(program, g.Clustered):
         return cluster_planner(partial(value_of, attribute=program.attribute))
     return Planner(partial(plan, program), partial(is_solved, program))
 
 
 def plan(program: Goal, view: StateView, strategy: Strategy, last: MovePlan) -> MovePlan:
     """The moves that the program's goals ask for; the first goal to move a block decides."""
-    if isinstance(program, Lined):
+    if isinstance(program, g.Lined):
         chosen = sorted(program.selection.blocks(view.scene))
         return plan_line(view, chosen, strategy, last)
     moves: dict[int | None, Move] = {}
@@ -69,12 +60,12 @@ def is_solved(program: Goal, view: StateView) -> bool:
 
 
 def _goals(program: Goal) -> Iterator[Goal]:
-    if isinstance(program, Together):
+    if isinstance(program, g.Together):
         yield from _goals(program.first)
         yield from _goals(program.second)
-    elif isinstance(program, Exactly):
+    elif isinstance(program, g.Exactly):
         yield from _goals(program.both)
-    elif isinstance(program, Only):
+    elif isinstance(program, g.Only):
         yield program.others
     else:
         yield program
@@ -82,24 +73,24 @@ def _goals(program: Goal) -> Iterator[Goal]:
 
 def _moves(goal: Goal, view: StateView, strategy: Strategy) -> list[Move]:
     """Moves for one goal."""
-    if isinstance(goal, Undisturbed):
+    if isinstance(goal, g.Undisturbed):
         return _back(goal, view, strategy)
     if not isinstance(goal, PLACED):
         raise NoExpertError(f"no expert for {goal!r} in a program; register a planner of your own")
     blocks = sorted(goal.selection.blocks(view.scene))
-    if isinstance(goal, OneOf) and any(_is_there(goal.place, view, i) for i in blocks):
+    if isinstance(goal, g.OneOf) and any(_is_there(goal.place, view, i) for i in blocks):
         return []
     return [move for i in blocks for move in _to_place(goal.place, view, strategy, i)]
 
 
 def _to_place(place: Place, view: StateView, strategy: Strategy, block: int) -> list[Move]:
     """The move that brings a block to a place, or none if it is already there."""
-    if isinstance(place, OutOfRegions):
+    if isinstance(place, e.OutOfRegions):
         return moves_out(view, strategy, [block])
-    if isinstance(place, InRegion | InOwnColour):
+    if isinstance(place, e.InRegion | e.InOwnColour):
         colour = view.scene.blocks[block].colour
         fitting = [
-            r for r in view.scene.regions if isinstance(place, InRegion) or r.colour == colour
+            r for r in view.scene.regions if isinstance(place, e.InRegion) or r.colour == colour
         ]
         nearest = min(fitting, key=lambda region: math.dist(region.centre, view.blocks[block]))
         return moves_in(view, strategy, nearest, [block])
@@ -120,7 +111,7 @@ def _is_well_within(place: Place, view: StateView, block: int, point: Point) -> 
     return bool((place.remaining(view.scene, points)[:, block] <= 0.0).all())
 
 
-def _back(goal: Undisturbed, view: StateView, strategy: Strategy) -> list[Move]:
+def _back(goal: g.Undisturbed, view: StateView, strategy: Strategy) -> list[Move]:
     """Moves that return blocks to the regions of the selected ones, and take others out."""
     moves, chosen = [], goal.selection.blocks(view.scene)
     for region in view.scene.regions:

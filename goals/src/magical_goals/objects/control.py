@@ -64,10 +64,7 @@ class ObjectTable(NamedTuple):
 
 
 def to_table(parsed: ParsedFrames, device: str | torch.device = "cpu") -> ObjectTable:
-    """The objects of B frames as tensors on a device.
-
-    There are as many block slots as the frames use, but at least two.
-    """
+    """The objects of B frames as tensors; as many block slots as they use, but at least two."""
     used = np.flatnonzero((parsed.colours != ABSENT).any(axis=0))
     count = 1 + max([1, *used.tolist()])
     names = ("blocks", "colours", "shapes")
@@ -89,19 +86,11 @@ def control_inputs(
     wall_range: float,
     mirrored: Tensor | None = None,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """The inputs of the controller.
+    """Inputs (B, F); inputs for every block (B, N, T); which blocks are near (B, N).
 
-    Args:
-        table: B scenes.
-        targets: (B,), a block's number or ROBOT_TARGET.
-        destinations: (B, 2).
-        block_range: units from the robot's centre, and from the point between its fingers; blocks
-            farther away are left out, except from the target's own inputs.
-        wall_range: the same for walls, from the robot's centre, the target and the destination.
-        mirrored: (B,) bool, whether left and right are exchanged in a scene.
-
-    Returns:
-        Inputs (B, F); inputs for every block (B, N, T); which blocks are near (B, N).
+    Blocks farther than `block_range` from the robot's centre or its grip are left out, but for the
+    target's own inputs; so are walls, from robot, target and destination. Left and right are
+    exchanged in scenes that are `mirrored`, (B,).
     """
     view = _RobotView(table, mirrored)
     robot = targets == ROBOT_TARGET

@@ -78,10 +78,7 @@ class ObjectData:
         task_names: Sequence[str],
         device: str = "cpu",
     ) -> None:
-        """Find the goals of all steps.
-
-        Steps in which a watched policy acted on its own are never sampled.
-        """
+        """Find the goals of all steps; those in which a watched policy acted are not sampled."""
         trajectories = [each.trajectory for each in demonstrations]
         parsed = ParsedFrames.joined(each.parsed.select(slice(-1)) for each in demonstrations)
         goals = [
@@ -183,17 +180,13 @@ def track(parsed: ParsedFrames) -> ParsedFrames:
 def find_goals(
     robot: Floats, blocks: Floats, intended: NDArray[np.bool_], end: int
 ) -> tuple[Ints, Floats]:
-    """The goals that were reached from each state of a tracked episode of T steps.
+    """Targets (T,) and destinations (T, 2): the goals reached from the states of T steps.
 
     Args:
         robot: (T + 1, 3) poses.
-        blocks: (T + 1, N, 2) positions; absent ones never move.
-        intended: (T,), whether the demonstrator's own action was executed: what other actions move
-            is not a goal.
+        blocks: (T + 1, N, 2) positions, tracked.
+        intended: (T,), whether the demonstrator's own action was executed: others have no goal.
         end: the frame in which the demonstrator's last action ended.
-
-    Returns:
-        Targets (T,), a block's number or ROBOT_TARGET, and destinations (T, 2).
     """
     steps = len(robot) - 1
     targets = np.full(steps, ROBOT_TARGET, np.int64)

@@ -29,7 +29,7 @@ from magical_goals.objects.control import ROBOT_TARGET, ObjectTable
 UNKNOWN = 9.0  # the value of a relation to something that does not exist
 NO_KIND = -5  # the colour and shape of the robot: equal to no block's
 
-SIDE_BY_SIDE = 0.6  # units between the centres of two blocks
+BESIDE = 0.6  # units between the centres of two blocks
 LINE_GAP, LINE_OVERLAP = 0.4, 0.2  # units: farthest and nearest neighbours in a line
 
 # Knots of the piecewise linear functions of a relation (see `goals`): a few for the choice of a
@@ -66,11 +66,7 @@ PLACE = (
 
 
 class Relation(NamedTuple):
-    """How a number is computed, its knots, and how strongly its functions are penalised.
-
-    The penalties are the prior: for the choice of a block, its region and the blocks of its own
-    kind come first; distances to walls and to other kinds come last.
-    """
+    """How a number is computed, its knots, and its penalties, which are the prior."""
 
     name: str
     measure: Callable[["_Scene"], Tensor]  # gives (B, K)
@@ -80,10 +76,7 @@ class Relation(NamedTuple):
 
 
 class _Scene:
-    """A target at K places in each scene, with masks of objects (B, N) or (B, M) and distances.
-
-    Places are the last axis, so that the minimum over objects is taken over whole rows of places.
-    """
+    """A target at K places in each scene, with masks of objects (B, N) or (B, M) and distances."""
 
     def __init__(self, table: ObjectTable, targets: Tensor, places: Tensor) -> None:
         self.table, self.places = table, places
@@ -152,16 +145,9 @@ class _Scene:
 def relate(
     table: ObjectTable, targets: Tensor, places: Tensor, which: Sequence[int] | None = None
 ) -> Tensor:
-    """The relations that the target of each scene would have at each of K places.
+    """The relations (B, K, R) that each scene's target (B,) would have at places (B, K, 2).
 
-    Args:
-        table: B scenes.
-        targets: (B,) int64, a block's number or ROBOT_TARGET.
-        places: (B, K, 2).
-        which: the positions in `RELATIONS` of those to compute; None: all.
-
-    Returns:
-        (B, K, R) float32, R the number of relations computed.
+    `which` has the positions in `RELATIONS` of those to compute; None: all.
     """
     scene = _Scene(table, targets, places)
     chosen = RELATIONS if which is None else [RELATIONS[k] for k in which]
@@ -213,9 +199,16 @@ def _line(scene: _Scene, longest: float) -> Tensor:
     return _nearest(residual, pairs & (length < longest))
 
 
-def _share(scene: _Scene, kinds: Tensor, own: Tensor, count: int) -> Tensor:
+def _own_centre(scene: _Scene, kind: str) -> Tensor:
+    """The distance to the centre of the other blocks of the same colour or shape."""
+    same: Tensor = getattr(scene, f"same_{kind}")
+    return _centre_distances(scene, (scene.others & same)[:, None])[:, 0]
+
+
+def _share(scene: _Scene, kind: str) -> Tensor:
     """The distance to the own group's centre, as a share of it plus that to the nearest other."""
-    groups = torch.arange(count, device=own.device)
+    kinds, own = getattr(scene.table, f"{kind}s"), getattr(scene, kind)
+    groups = torch.arange(len(COLOURS if kind == "colour" else SHAPES), device=own.device)
     distances = _centre_distances(
         scene, scene.others[:, None] & (kinds[:, None] == groups[:, None])
     )
@@ -232,15 +225,10 @@ def _coordinate(scene: _Scene, axis: int) -> Tensor:
 
 
 def _block_relation(
-    name: str,
-    colour: bool | None,
-    shape: bool | None,
-    in_region: bool | None,
-    choice_penalty: float,
-    destination_penalty: float,
+    name: str, colour: bool | None, shape: bool | None, in_region: bool | None, *penalties: float
 ) -> Relation:
     measure = partial(_nearest_block, colour=colour, shape=shape, in_region=in_region)
-    return Relation(name, measure, CONTACT, choice_penalty, destination_penalty)
+    return Relation(name, measure, CONTACT, *penalties)
 
 
 RELATIONS = (
@@ -255,41 +243,15 @@ RELATIONS = (
     _block_relation("block of the same shape alone, in none", False, True, False, 2, 2),
     _block_relation("block of another colour and shape, in a region", False, False, True, 8, 4),
     _block_relation("block of another colour and shape, in none", False, False, False, 8, 4),
-    Relation(
-        "centre of the other blocks of the same colour",
-        lambda s: _centre_distances(s, (s.others & s.same_colour)[:, None])[:, 0],
-        GROUP,
-        4,
-        2,
-    ),
-    Relation(
-        "centre of the other blocks of the same shape",
-        lambda s: _centre_distances(s, (s.others & s.same_shape)[:, None])[:, 0],
-        GROUP,
-        4,
-        2,
-    ),
+    Relation("centre of others of its colour", partial(_own_centre, kind="colour"), GROUP, 4, 2),
+    Relation("centre of others of its shape", partial(_own_centre, kind="shape"), GROUP, 4, 2),
     _block_relation("block of another colour", False, None, None, 8, 4),
     _block_relation("block of another shape", None, False, None, 8, 4),
     _block_relation("any other block", None, None, None, 8, 2),
     Relation("line of two other blocks", partial(_line, longest=math.inf), LINE, 4, 3),
-    Relation(
-        "line of two other blocks side by side", partial(_line, longest=SIDE_BY_SIDE), LINE, 8, 2
-    ),
-    Relation(
-        "share of the own colour's distance",
-        lambda s: _share(s, s.table.colours, s.colour, len(COLOURS)),
-        SHARE,
-        4,
-        2,
-    ),
-    Relation(
-        "share of the own shape's distance",
-        lambda s: _share(s, s.table.shapes, s.shape, len(SHAPES)),
-        SHARE,
-        4,
-        2,
-    ),
+    Relation("line of two other blocks side by side", partial(_line, longest=BESIDE), LINE, 8, 2),
+    Relation("share of the own colour's distance", partial(_share, kind="colour"), SHARE, 4, 2),
+    Relation("share of the own shape's distance", partial(_share, kind="shape"), SHARE, 4, 2),
     Relation("wall", lambda s: 1.0 - s.places.abs().amax(dim=2), WALL, 8, 2),
     Relation("x, where there is nothing else", partial(_coordinate, axis=0), PLACE, 1, 1),
     Relation("y, where there is nothing else", partial(_coordinate, axis=1), PLACE, 1, 1),
@@ -343,10 +305,7 @@ class PiecewiseLinear(nn.Module):
         return found or [0]
 
     def forward(self, numbers: Tensor, sets: Tensor, which: list[int] | None = None) -> Tensor:
-        """The sums (B, ...) for numbers (B, ..., R), with the functions of the sets (B,).
-
-        If only some of the numbers are given, `which` has their positions.
-        """
+        """The sums (B, ...) for numbers (B, ..., R), all or those in `which`, with sets (B,)."""
         knots, values = self.knots, (self.values * self.used).transpose(0, 1)
         if which is not None:
             knots, values = knots[which], values[which]
@@ -401,11 +360,7 @@ class GoalModel(nn.Module):
     ) -> Tensor:
         """Logits (B, N + 1): one for every block, and a last one for none being left to move.
 
-        Args:
-            table: B scenes.
-            relations: of every block where it lies, (B, N, R).
-            tasks: (B,).
-            which: the positions of the relations that are given; None: all.
+        `relations` are those of every block where it lies, (B, N, R), all or those in `which`.
         """
         absent = ~table.present  # (B, N)
         scores = self.choice(relations, tasks, which).masked_fill(absent, IMPOSSIBLE)
@@ -455,10 +410,7 @@ class GoalModel(nn.Module):
         return targets, places
 
     def _best_places(self, table: ObjectTable, targets: Tensor, tasks: Tensor) -> Tensor:
-        """The best destinations (B, 2): the weighted mean of places in the best cell of a grid.
-
-        A cell is judged by the likelihood of its neighbourhood, as no block is put down exactly.
-        """
+        """The best destinations (B, 2): the weighted mean of places in the best cell of a grid."""
         places = GRID.to(targets.device).expand(table.size, -1, -1)
         likelihoods = self.destination_logits(table, targets, places, tasks).softmax(dim=1)
         cells = likelihoods.view(-1, 1, CELLS, CELLS)
@@ -489,16 +441,9 @@ def goal_losses(
     tasks: Tensor,
     candidates: Tensor,
 ) -> tuple[Tensor, Tensor]:
-    """Negative log-likelihoods of targets, and of destinations among candidates.
+    """Negative log-likelihoods of targets (B,), and of destinations (B, 2) among others (B, K, 2).
 
-    Args:
-        model: the model.
-        table: B scenes.
-        relations: of every block, (B, N, R).
-        targets: (B,).
-        destinations: (B, 2).
-        tasks: (B,).
-        candidates: other places, (B, K, 2).
+    `relations` are those of every block, (B, N, R).
     """
     logits = model.target_logits(table, relations, tasks)
     numbers = torch.where(targets == ROBOT_TARGET, logits.shape[1] - 1, targets)

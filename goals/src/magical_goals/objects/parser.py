@@ -292,8 +292,7 @@ def find_regions(
                 found += 1
             count -= 1
             for k in range(count):
-                for i in range(5):
-                    boxes[k, i] = boxes[k + 1, i]
+                boxes[k, :5] = boxes[k + 1, :5]
 
 
 @inlined
@@ -304,11 +303,9 @@ def _boxes_of(parts: Ints, number: int, colour: int, boxes: Ints) -> int:
         if parts[k, KIND] == REGION and parts[k, COLOUR] == colour:
             at = count
             while at > 0 and boxes[at - 1, AREA] < parts[k, AREA]:
-                for i in range(5):
-                    boxes[at, i] = boxes[at - 1, i]
+                boxes[at, :5] = boxes[at - 1, :5]
                 at -= 1
-            for i in range(5):
-                boxes[at, i] = parts[k, i]
+            boxes[at, :5] = parts[k, :5]
             count += 1
     return count
 
@@ -339,8 +336,7 @@ def _drop_contained(boxes: Ints, count: int) -> int:
         rows = boxes[0, TOP] <= boxes[k, TOP] and boxes[0, BOTTOM] >= boxes[k, BOTTOM]
         columns = boxes[0, LEFT] <= boxes[k, LEFT] and boxes[0, RIGHT] >= boxes[k, RIGHT]
         if not (rows and columns):
-            for i in range(5):
-                boxes[left, i] = boxes[k, i]
+            boxes[left, :5] = boxes[k, :5]
             left += 1
     return left
 

@@ -69,25 +69,3 @@ def compiled_overlaps(
                 deepest = max(deepest, FINGER_ROOM - away)
             overlap += deepest
         overlaps[at] = overlap
-
-
-@nogil_entry_point
-def compiled_routes(
-    where: Floats, lengths: Floats, slopes: Floats, length: Floats, direction: Floats
-) -> None:
-    """Fill in lengths (P,) and directions (P, 2) of the routes from points (P, 2), in cells.
-
-    They are interpolated from the grid's lengths (SIDE, SIDE) and their slopes (SIDE, SIDE, 2).
-    """
-    for at in range(len(where)):
-        low_x, low_y = int(where[at, 0]), int(where[at, 1])
-        part_x, part_y = where[at, 0] - low_x, where[at, 1] - low_y
-        total, slope_x, slope_y = 0.0, 0.0, 0.0
-        for i in range(2):
-            for j in range(2):
-                share = abs(1 - i - part_x) * abs(1 - j - part_y)
-                total += share * lengths[low_x + i, low_y + j]
-                slope_x += share * slopes[low_x + i, low_y + j, 0]
-                slope_y += share * slopes[low_x + i, low_y + j, 1]
-        size = max(math.sqrt(slope_x * slope_x + slope_y * slope_y), 1e-9)
-        length[at], direction[at, 0], direction[at, 1] = total, -slope_x / size, -slope_y / size

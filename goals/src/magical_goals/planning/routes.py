@@ -1,15 +1,15 @@
 """Shortest routes to goals, around blocks that must not be moved, from everywhere at once."""
 
+import math
 from itertools import product
-from math import gcd
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
+from magical.compiled.jit import nogil_entry_point
 from magical.scene.constants import WORKSPACE_HALF
-from magical_goals.planning.kernels import compiled_routes
 
 SIDE = 29  # grid points across the workspace
 MOVED = 0.005  # units: routes are kept until something moves farther
@@ -26,7 +26,7 @@ _CELLS = SIDE * SIDE
 
 def _edges() -> tuple[Ints, Ints, Floats]:
     """Pairs of grid points up to a knight's move apart, sorted, and their distances."""
-    moves = [(i, j) for i, j in product(range(-2, 3), repeat=2) if gcd(i, j) == 1]
+    moves = [(i, j) for i, j in product(range(-2, 3), repeat=2) if math.gcd(i, j) == 1]
     here = np.stack(np.divmod(np.arange(_CELLS), SIDE), axis=1)[:, None]
     there = here + np.array(moves)  # (_CELLS, 16, 2)
     start, move = np.nonzero(((there >= 0) & (there < SIDE)).all(axis=2))
@@ -47,14 +47,9 @@ class Routes:
     def __init__(
         self, goals: Floats, costs: Floats, obstacles: Floats, clearance: Floats, limit: float
     ) -> None:
-        """Search from the goals.
+        """Search from goals (G, 2), whose routes cost (G,) more units.
 
-        Args:
-            goals: (G, 2).
-            costs: (G,) units added to routes to each goal.
-            obstacles: (N, 2).
-            clearance: (N,) units to keep from each.
-            limit: the largest coordinate of a route, in units.
+        Routes keep a clearance (N,) from obstacles (N, 2), and coordinates within the limit.
         """
         depth = 1.0 - np.linalg.norm(_GRID[:, :, None] - obstacles, axis=-1) / clearance
         outside = (np.abs(_GRID).max(axis=-1) - limit) / _SPACING
@@ -114,3 +109,25 @@ def _nearest(points: Floats) -> Ints:
     at = np.rint((points + WORKSPACE_HALF) / _SPACING).astype(np.intp).clip(0, SIDE - 1)
     numbers: Ints = at[..., 0] * SIDE + at[..., 1]
     return numbers
+
+
+@nogil_entry_point
+def compiled_routes(
+    where: Floats, lengths: Floats, slopes: Floats, length: Floats, direction: Floats
+) -> None:
+    """Fill in lengths (P,) and directions (P, 2) of the routes from points (P, 2), in cells.
+
+    They are interpolated from the grid's lengths (SIDE, SIDE) and their slopes (SIDE, SIDE, 2).
+    """
+    for at in range(len(where)):
+        low_x, low_y = int(where[at, 0]), int(where[at, 1])
+        part_x, part_y = where[at, 0] - low_x, where[at, 1] - low_y
+        total, slope_x, slope_y = 0.0, 0.0, 0.0
+        for i in range(2):
+            for j in range(2):
+                share = abs(1 - i - part_x) * abs(1 - j - part_y)
+                total += share * lengths[low_x + i, low_y + j]
+                slope_x += share * slopes[low_x + i, low_y + j, 0]
+                slope_y += share * slopes[low_x + i, low_y + j, 1]
+        size = max(math.sqrt(slope_x * slope_x + slope_y * slope_y), 1e-9)
+        length[at], direction[at, 0], direction[at, 1] = total, -slope_x / size, -slope_y / size
