@@ -152,7 +152,8 @@ def execute(
     with closing(executor), Interrupts() as stop, opened(out):
         states = {run: planned_state(run, out) for run in runs}
         again = (None, FAILED) if retry_failed else (None,)
-        work: dict[Planned, Path] = {r: out / RUNS / r.folder for r in runs if states[r] in again}
+        waiting = [run for run in runs if states[run] in again]
+        work: dict[Planned, Path] = {run: out / RUNS / run.folder for run in waiting}
 
         def go_on(_: int) -> None:
             if stop.seen:
@@ -162,8 +163,10 @@ def execute(
         names = [each.folder for each in references]
         write_json(out / PLAN, {"runs": listed, "references": names, "command": list(command)})
         with suppress(_Interrupted):
-            demos = prepare_demonstrations(list(work), out, workers, go_on)
+            demos = prepare_demonstrations(waiting, out, workers, go_on)
             work |= {each: out / REFERENCES / each.folder for each in references}
+            if work:
+                _say(f"{len(work)} to do; magical status {out} shows the progress")
             _finish_all(work, demos, executor, stop)
         return stop.seen
 
@@ -182,9 +185,10 @@ def _finish_all(
     started = {executor.submit(each, folder, demos): each for each, folder in work.items()}
     for future in started:
         future.add_done_callback(ended.put)
-    left = len(started)
+    left, stopping = len(started), False
     while left:
-        if stop.seen:
+        if stop.seen and not stopping:  # a second SIGTERM would end a run without a checkpoint
+            stopping = True
             executor.stop()
         with suppress(Empty):
             future = ended.get(timeout=POLL)
@@ -192,7 +196,11 @@ def _finish_all(
             error = None if stop.seen else future.exception()
             if line := _ending(started[future], work[started[future]], error):
                 count = f"{len(started) - left} of {len(started)}"
-                print(for_terminal(f"{line} ({count})"), file=sys.stderr)
+                _say(f"{line} ({count})")
+
+
+def _say(line: str) -> None:
+    print(for_terminal(line), file=sys.stderr, flush=True)
 
 
 def _ending(work: Planned, folder: Path, error: BaseException | None) -> str:
