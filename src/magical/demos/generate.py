@@ -1,22 +1,29 @@
 """Generating demonstrations with the scripted experts."""
 
-from collections.abc import Callable
+import signal
+from collections import deque
+from collections.abc import Callable, Container, Generator, Iterable
+from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
 from itertools import count
+from multiprocessing import get_context
 from pathlib import Path
+from typing import TypeVar
 
 from magical.demos.dataset import Dataset, DatasetWriter
-from magical.demos.parallel import map_in_order
 from magical.demos.record import provenance
 from magical.demos.trajectory import Trajectory
 from magical.envs.ids import parse_env_id
 from magical.envs.seeds import episode_seed
-from magical.errors import DatasetError
+from magical.errors import DatasetError, WorkerDiedError
 from magical.experts import modules_of, rollout
 from magical.experts.noise import check_share
 from magical.tasks import with_tasks
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 MAX_DROPPED = 20  # attempts below the score, per requested demonstration, before giving up
 
@@ -46,8 +53,7 @@ def generate(
     """Write `number` demonstrations by the task's scripted expert to a dataset.
 
     Attempt i starts in the scene of `reset(seed=episode_seed(seed, i))`, with its own strategy.
-    Demonstrations that the dataset holds are not made again, so an interrupted call can be
-    repeated.
+    Demonstrations that the dataset holds are not made again: an interrupted call can be repeated.
 
     Args:
         env_id: the environment's id; a preset in it is ignored.
@@ -88,10 +94,8 @@ def generate(
             if score < min_score:
                 dropped += 1
                 if dropped > MAX_DROPPED * number:
-                    raise DatasetError(
-                        f"{env_id}: {dropped} attempts scored less than {min_score}; give a lower "
-                        "score or a lower share of perturbed steps"
-                    )
+                    what = f"{dropped} attempts scored less than {min_score}"
+                    raise DatasetError(f"{env_id}: {what}; give a lower score, or perturb less")
                 continue
             if trajectory is not None:
                 writer.append(trajectory)
@@ -104,11 +108,7 @@ def generate(
 def demonstrate(env_id: str, seed: int, *, perturb: float = 0.0) -> Trajectory:
     """One episode of the scripted expert, in the scene of `reset(seed=seed)`.
 
-    `perturb` is as in `generate`.
-
-    Raises:
-        NoExpertError: the task has no expert.
-        InvalidSceneError: the sampled scene does not fit the task.
+    `perturb` is as in `generate`. Raises `NoExpertError` if the task has no expert.
     """
     parsed = parse_env_id(env_id)
     episode = rollout(parsed.task, parsed.variant, seed, perturb=perturb)
@@ -123,3 +123,36 @@ def demonstrate(env_id: str, seed: int, *, perturb: float = 0.0) -> Trajectory:
         expert_actions=episode.expert_actions if perturb else None,
         metadata={"perturb": perturb, **provenance()},
     )
+
+
+def map_in_order(
+    work: Callable[[Item], Result], items: Iterable[Item], workers: int, skip: Container[Item] = ()
+) -> Generator[tuple[Item, Result | None], None, None]:
+    """Yield each item with `work(item)`, in order; None for the items in `skip`.
+
+    Items may be infinite: close the generator when enough have come. With one worker everything is
+    done in this process. Raises `WorkerDiedError` if a process is killed.
+    """
+    if workers == 1:
+        for item in items:
+            yield item, None if item in skip else work(item)
+        return
+    pool = ProcessPoolExecutor(
+        workers,
+        get_context("spawn"),
+        initializer=signal.signal,  # the main process ends them
+        initargs=(signal.SIGINT, signal.SIG_IGN),
+    )
+    try:
+        waiting: deque[tuple[Item, Future[Result] | None]] = deque()
+        for item in items:
+            waiting.append((item, None if item in skip else pool.submit(work, item)))
+            if len(waiting) > workers:
+                first, future = waiting.popleft()
+                yield first, None if future is None else future.result()
+        for first, future in waiting:
+            yield first, None if future is None else future.result()
+    except BrokenExecutor as error:
+        raise WorkerDiedError("a worker process was killed, perhaps for lack of memory") from error
+    finally:
+        pool.shutdown(cancel_futures=True)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.demos.reader import ObservationReader
+from magical.demos.reader import observations
 from magical.demos.record import recorded_trajectory
 from magical.demos.trajectory import Actor, Trajectory
 from magical.envs.ids import EnvId
@@ -164,11 +164,12 @@ def episode_probabilities(policy: Any, episode: Trajectory) -> NDArray[np.float6
             "policy: expected one whose actions depend on the current observation alone, found one "
             "with a memory; watch it act instead"
         )
-    reader = ObservationReader(episode, policy.observation)
     steps = np.arange(len(episode))
     with _one_thread():
         parts = [
-            policy.probabilities(reader.read(times), [episode.env_id] * len(times))
+            policy.probabilities(
+                observations(episode, policy.observation, times), [episode.env_id] * len(times)
+            )
             for times in np.split(steps, steps[BATCH::BATCH])
         ]
     return np.concatenate(parts)
