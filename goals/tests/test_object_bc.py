@@ -14,7 +14,7 @@ from torch.nn.functional import cross_entropy
 
 from baselines.tests import tiny_runs
 from baselines.tests.tiny_runs import assert_same, checkpoint
-from magical.demos import ObservationReader
+from magical.demos import observations
 from magical.demos.generate import demonstrate
 from magical.errors import InvalidConfigError
 from magical.evaluation import evaluate
@@ -185,7 +185,7 @@ def test_tables_have_columns_for_the_blocks_of_any_frame() -> None:
 
 def _stacks() -> np.ndarray:
     trajectory = demonstrate("magical/FixColour-Demo-v0", seed=3)
-    stacks = ObservationReader(trajectory, "LoRes4A").read(np.arange(4, 20, 3))
+    stacks = observations(trajectory, "LoRes4A", np.arange(4, 20, 3))
     return np.ascontiguousarray(stacks.transpose(0, 3, 1, 2))
 
 

@@ -2,19 +2,16 @@
 
 A statement in `edges.Edges` with margin m holds with probability 1 / (1 + exp(-m / s)). The joint
 likelihood of the statements from all views is maximised by Newton's method, first with a softness s
-of about one pixel and then with smaller and smaller ones. The hundreds of pixels along an outline
-lie at as many different distances from it, so they determine it to about a hundredth of a pixel.
-The curvature of the likelihood at the end gives the remaining uncertainty.
+of about one pixel and then with smaller ones. Its curvature at the end gives the uncertainty.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from edges import EdgeFinder, Edges
+from edges import EdgeFinder, Edges, Labels
 from numpy.typing import NDArray
 from outlines import SIZE, VIEW_WIDTH
-from search import Labels
 
 from magical.scene import Scene, Shape, View
 from magical.scene.poses import EYES, FIRST_BLOCK, ROBOT
@@ -73,15 +70,9 @@ class PoseFitter:
         free: Sequence[int],
         stages: Sequence[Stage] = NEAR_STAGES,
     ) -> Fit:
-        """Fit the poses in the rows `free`.
+        """Fit the poses in the rows `free`; a round block's angle, which cannot be seen, stays.
 
-        The angle of a round block cannot be seen and stays unchanged.
-
-        Args:
-            guess: initial poses of the free rows, and fixed poses of the others.
-            labels: labels of the recorded frames, from `label`.
-            free: rows of the poses to fit.
-            stages: `NEAR_STAGES` or `FAR_STAGES`, depending on how far the guess may be off.
+        `guess` has initial poses of the free rows, and fixed poses of the others.
         """
         unknown, wanted = np.zeros(guess.shape, np.bool_), np.zeros(len(guess), np.bool_)
         unknown[list(free)] = wanted[list(free)] = True
@@ -130,11 +121,7 @@ def _likelihood(
 
 
 def _bounds(scaled: Array, wrong: Array) -> Array:
-    """Jaakkola and Jordan's bound on the curvature, with which every step improves the fit.
-
-    Source: Bayesian parameter estimation via variational methods, Statistics and Computing 10
-    (2000).
-    """
+    """Jaakkola and Jordan's bound on the curvature (Statistics and Computing 10, 2000)."""
     away = np.where(np.abs(scaled) < 1e-3, 1.0, scaled)
     return np.where(away == scaled, (0.5 - wrong) / away, 0.25)
 

@@ -37,12 +37,8 @@ SIGNIFICANT = 3.0  # standard deviations: a block that seems to have moved less 
 UNSEEN = 0.1  # units or radians: standard deviation of a pose that the pixels do not determine
 GRID = 2.0**-17  # units or radians: rounding of the poses, far below their uncertainty
 PRECISION = 1e-3  # units or radians: smaller differences may be errors of the recovered poses
-_GROUPS = {
-    "robot": slice(ROBOT, ROBOT + 1),
-    "fingers": FINGERS,
-    "eyes": EYES,
-    "blocks": slice(FIRST_BLOCK, None),
-}
+_GROUPS = {"robot": slice(ROBOT, ROBOT + 1), "fingers": FINGERS, "eyes": EYES}
+_GROUPS |= {"blocks": slice(FIRST_BLOCK, None)}
 _SHAPE = (RAW_FRAME_SIZE, RAW_FRAME_SIZE, 3)
 _REACH = max(BLOCK_SIZE, STAR_OUTER_RADIUS) + NEARBY  # units
 
@@ -51,9 +47,7 @@ Mask = NDArray[np.bool_]  # (384, 384)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=str(__doc__).partition("\n")[0])
     parser.add_argument("source", type=Path)
     parser.add_argument("out", type=Path)
     parser.add_argument("--workers", type=int, default=1)
@@ -73,23 +67,20 @@ def recovered(file: Path) -> Trajectory | str:
     recovery = recover(demonstration)
     if recovery.problem:
         return recovery.problem
+    found = {"recorded_score": demonstration.score, "recovery": recovery.metadata()}
     return Trajectory.from_bodies(
         demonstration.env_id,
         demonstration.env_id.task_spec.demo,
         demonstration.actions,
         recovery.bodies,
         demonstrator="human",
-        metadata={
-            **demonstration.source,
-            "recorded_score": demonstration.score,
-            "recovery": recovery.metadata(),
-        },
+        metadata={**demonstration.source, **found},
     )
 
 
 @dataclass(frozen=True, slots=True)
 class Recovery:
-    """The poses recovered from the T + 1 frames of a recording, or from the first N of them."""
+    """The poses recovered from the first N frames of a recording."""
 
     bodies: NDArray[np.float64]  # (N, 5 + blocks, 6); velocities are estimates
     deviations: NDArray[np.float64]  # (N, 5 + blocks, 3): standard deviations; 0 if unchanged
@@ -141,11 +132,7 @@ def recover(demonstration: PublishedDemonstration) -> Recovery:
 
 
 class PoseFollower:
-    """A simulation that is reset to recovered poses after every control step.
-
-    Velocities are the simulation's. If it mispredicts a body, the missing mean velocity is added.
-    During contacts, when velocities change within a control step, they are estimates.
-    """
+    """A simulation that is reset to recovered poses after every control step."""
 
     def __init__(self, scene: Scene) -> None:
         self._simulation = Simulation(scene)
@@ -192,9 +179,8 @@ class Moment:
 class Tracker:
     """Recovers the poses of one episode, which starts at rest in `scene`.
 
-    The initial guess for each time step is simulated from the previous one; the recovered poses
-    depend only on the frames, to the precision that these allow. A body about which the pixels
-    say nothing new keeps its pose.
+    The initial guess for each time step is simulated from the previous one. A body about which the
+    pixels say nothing new keeps its pose.
     """
 
     def __init__(self, scene: Scene) -> None:

@@ -14,7 +14,7 @@ import pytest
 
 from conftest import SHARED
 from magical.demos import Dataset, DatasetWriter, Trajectory
-from magical.errors import DatasetError, ObservationError, UnknownNameError
+from magical.errors import DatasetError, UnknownNameError
 from magical.tasks import get_task, register_task, unregister_task
 from tests.demos.conftest import MakeTrajectory
 
@@ -114,11 +114,6 @@ def test_a_sample_depends_on_the_generator_alone(small_dataset: Path) -> None:
     assert all(list(names) == sorted(names) for names in files)
     with pytest.raises(DatasetError, match="expected 4 trajectories, found 3"):
         dataset.sample(4, np.random.default_rng(0))
-
-
-def test_arrays_of_different_tasks_state_vectors_are_refused(small_dataset: Path) -> None:
-    with pytest.raises(ObservationError, match="filter by task"):
-        Dataset.open(small_dataset).arrays("state")
 
 
 APPEND_SOME = """

@@ -11,9 +11,7 @@ import pytest
 
 from magical.demos import (
     Dataset,
-    DatasetWriter,
     Frames,
-    ObservationReader,
     RecordTrajectories,
     Trajectory,
     observations,
@@ -63,16 +61,12 @@ def test_observations_are_bit_identical(tmp_path: Path, env: str, observation: s
     )
 
 
-def test_reader_writes_into_out(make_trajectory: MakeTrajectory) -> None:
+def test_time_steps_outside_the_episode_are_refused(make_trajectory: MakeTrajectory) -> None:
     trajectory = make_trajectory()
-    reader = ObservationReader(trajectory, "LoResCHW4E")
-    out = np.zeros((3, 12, 96, 96), np.uint8)
-    assert reader.read([3, 3, 12], out) is out
-    assert_same(out, observations(trajectory, "LoResCHW4E", [3, 3, 12]))
     with pytest.raises(TrajectoryError, match="expected 0 to 12, found 0 to 13"):
-        reader.read([0, 13])
+        observations(trajectory, times=[0, 13])
     with pytest.raises(TrajectoryError, match="0 to 12"):
-        reader.read([-1])
+        observations(trajectory, times=[-1])
 
 
 @pytest.mark.parametrize("preset", PRESETS)
@@ -117,30 +111,3 @@ def test_states_need_velocities(make_trajectory: MakeTrajectory) -> None:
     assert_same(observations(poses, "LoRes4E"), observations(good, "LoRes4E"))
     with pytest.raises(TrajectoryError, match="expected poses and velocities"):
         observations(poses, "state")
-
-
-@pytest.mark.parametrize("preset", ["LoRes4E", "LoResStack", "state"])
-def test_arrays_have_every_step(
-    tmp_path: Path, make_trajectory: MakeTrajectory, preset: str
-) -> None:
-    writer = DatasetWriter(tmp_path / "d")
-    labelled = make_trajectory(steps=3, seed=3, expert_actions=[1, 2, 3])
-    watched = make_trajectory(steps=5, seed=5, actors=[0, 2, 1, 0, 0], demonstrator="me")
-    made = [replace(labelled, published_code_score=0.25), watched]
-    for trajectory in made:
-        writer.append(trajectory)
-    dataset = Dataset.open(tmp_path / "d")
-    arrays = dataset.arrays(observation=preset)
-    assert arrays["episodes"].tolist() == [0] * 3 + [1] * 5
-    assert arrays["steps"].tolist() == [0, 1, 2, 0, 1, 2, 3, 4]
-    for name in ("actions", "labels"):
-        assert_same(arrays[name], np.concatenate([getattr(one, name) for one in made]))
-    expected = [observations(trajectory, preset, range(len(trajectory))) for trajectory in made]
-    assert_same(arrays["observations"], joined(expected, np.concatenate))
-    assert arrays["env_ids"].tolist() == ["magical/MoveToCorner-Demo-v0"] * 2
-    assert arrays["is_demonstrated"].tolist() == [True] * 3 + [False, True, True, False, False]
-    assert arrays["scores"].tolist() == [trajectory.score for trajectory in made]
-    assert arrays["published_code_scores"].tolist() == [0.25, watched.published_code_score]
-    assert arrays["demonstrators"].tolist() == ["random", "me"]
-    mixed = dataset.filter(demonstrator="unknown").arrays(observation="LoRes4E")
-    assert len(mixed["actions"]) == 0

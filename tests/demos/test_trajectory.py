@@ -109,7 +109,7 @@ def test_from_bodies_scores_by_both_rules() -> None:
     assert made.published_code_score == task.published_code_score(task.demo, start)
     assert np.isnan(made.bodies[..., 3:]).all()
     for wrong in (poses[0], poses[:, :-1], poses[..., None]):
-        with pytest.raises(TrajectoryError, match="shape"):
+        with pytest.raises(TrajectoryError, match="bodies: expected"):
             Trajectory.from_bodies("ClusterColour-Demo-v0", task.demo, [0], wrong)
 
 

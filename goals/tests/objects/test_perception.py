@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from baselines.tests.tiny_runs import tiny
-from magical.demos import ObservationReader
+from magical.demos import observations
 from magical.demos.generate import demonstrate
 from magical.errors import PluginError, UnknownNameError
 from magical_baselines import load_policy, train
@@ -68,7 +68,7 @@ def plain(frames: Pixels) -> ParsedFrames:
 
 def test_blocks_may_come_in_any_order() -> None:
     trajectory = demonstrate("magical/FixColour-Demo-v0", seed=3)
-    frames = ObservationReader(trajectory, "LoRes4A").read(np.arange(2))[..., -3:]
+    frames = observations(trajectory, "LoRes4A", np.arange(2))[..., -3:]
     found, parsed = get_perception(f"{__name__}:shuffled")(frames), parse_frames(frames)
     blocks = (parsed.colours != ABSENT).sum(axis=1).tolist()
     assert blocks == (found.colours[:, : blocks[0]] != ABSENT).sum(axis=1).tolist()

@@ -7,7 +7,7 @@ import argparse
 import fnmatch
 import os
 import shutil
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -30,62 +30,63 @@ from magical.messages import printable
 HELP = "demonstrations: import, generate, replay, export, push"
 ARCHIVE = "https://github.com/qxcv/magical-data"
 DATASET = "dataset to create or append to"
+POSITIONAL: dict[str, tuple[type, str, str]] = {
+    "source": (Path, "SRC", "a folder with *.pkl.gz files, or one such file"),
+    "dataset": (Path, "DIR", "the dataset's folder"),
+    "repo": (str, "OWNER/NAME", "the dataset repository"),
+}
+
+Run = Callable[[argparse.Namespace], int]
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the sub-commands and their arguments."""
-    add = parser.add_subparsers(title="commands", metavar="COMMAND", required=True).add_parser
-    replay = "resimulate the recorded actions and score the result"
-    for name, run_demos, describe, meaning in (
-        ("import", run_import, _import, "import published human demonstrations"),
-        ("download", run_download, _download, f"download and import {ARCHIVE}"),
-        ("generate", run_generate, _generate, "roll out the scripted experts"),
-        ("info", run_info, _dataset, "show what a dataset contains"),
-        ("replay", run_replay, _dataset, replay),
-        ("video", run_video, _video, "make a video, with both views side by side"),
-        ("export", run_export, _export, "export a dataset to Minari"),
-        ("push", run_push, _push, "upload a dataset to the Hugging Face Hub"),
-        ("pull", run_pull, _pull, "download a dataset from the Hugging Face Hub"),
-    ):
-        command = add(name, help=meaning)
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+
+    def add(name: str, run_demos: Run, meaning: str, *words: str) -> argparse.ArgumentParser:
+        command = commands.add_parser(name, help=meaning)
         command.set_defaults(run_demos=run_demos)
-        describe(command)
+        for word in words:
+            positional, metavar, described = POSITIONAL[word]
+            command.add_argument(word, type=positional, metavar=metavar, help=described)
         add_json(command)
+        return command
 
-
-def run(args: argparse.Namespace) -> int:
-    """Run the chosen sub-command."""
-    return int(args.run_demos(args))
-
-
-def _import(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "source", type=Path, metavar="SRC", help="a folder with *.pkl.gz files, or one such file"
-    )
-    _importing(parser)
-
-
-def _download(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--base-url", metavar="URL", help=f"use it instead of {ARCHIVE}")
-    parser.add_argument(
-        "--files",
-        default="*",
-        metavar="PATTERN",
-        help="download only the files that match, such as 'move-to-corner/*'",
-    )
-    parser.add_argument(
-        "--keep", type=Path, metavar="FOLDER", help="keep the downloaded files in this folder"
-    )
-    _importing(parser)
+    _importing(add("import", run_import, "import published human demonstrations", "source"))
+    download = add("download", run_download, f"download and import {ARCHIVE}")
+    download.add_argument("--base-url", metavar="URL", help=f"use it instead of {ARCHIVE}")
+    meaning = "download only the files that match, such as 'move-to-corner/*'"
+    download.add_argument("--files", default="*", metavar="PATTERN", help=meaning)
+    meaning = "keep the downloaded files in this folder"
+    download.add_argument("--keep", type=Path, metavar="FOLDER", help=meaning)
+    _importing(download)
+    _generate(add("generate", run_generate, "roll out the scripted experts"))
+    add("info", run_info, "show what a dataset contains", "dataset")
+    meaning = "resimulate the recorded actions and score the result"
+    add("replay", run_replay, meaning, "dataset")
+    video = add("video", run_video, "make a video, with both views side by side", "dataset")
+    add_out(video, "video to write, FILE.mp4", "FILE", required=True)
+    meaning = "numbers of the demonstrations, from 0 (default: the first of each environment)"
+    add_several(video, "--index", meaning, "I", kind=number(int, 0))
+    export = add("export", run_export, "export a dataset to Minari", "dataset")
+    export.add_argument("--to", choices=("minari",), required=True, help="target format")
+    add_out(export, "the folder of Minari's datasets (default: Minari's own)", "FOLDER")
+    export.add_argument("--name", default="demos", help="last part of the id (default: demos)")
+    meaning = "observation preset (default: LoRes4E)"
+    export.add_argument("--preset", default="LoRes4E", help=meaning)
+    push = add("push", run_push, "upload a dataset to the Hugging Face Hub", "dataset", "repo")
+    meaning = "licence identifier of the Hub, such as cc-by-4.0"
+    push.add_argument("--licence", "--license", required=True, metavar="ID", help=meaning)
+    push.add_argument("--private", action="store_true", help="make a new repository private")
+    pull = add("pull", run_pull, "download a dataset from the Hugging Face Hub", "repo")
+    add_out(pull, "new folder to download into", "DIR", required=True)
+    pull.add_argument("--revision", metavar="REV", help="a branch, tag or commit")
 
 
 def _importing(parser: argparse.ArgumentParser) -> None:
     add_out(parser, DATASET, required=True)
-    parser.add_argument(
-        "--skip-duplicates",
-        action="store_true",
-        help="import demonstrations that are in several files only once",
-    )
+    meaning = "import demonstrations that are in several files only once"
+    parser.add_argument("--skip-duplicates", action="store_true", help=meaning)
     add_workers(parser)
 
 
@@ -105,46 +106,9 @@ def _generate(parser: argparse.ArgumentParser) -> None:
     add_workers(parser)
 
 
-def _video(parser: argparse.ArgumentParser) -> None:
-    _dataset(parser)
-    add_out(parser, "video to write, FILE.mp4", "FILE", required=True)
-    meaning = "numbers of the demonstrations, from 0 (default: the first of each environment)"
-    add_several(parser, "--index", meaning, "I", kind=number(int, 0))
-
-
-def _export(parser: argparse.ArgumentParser) -> None:
-    _dataset(parser)
-    parser.add_argument("--to", choices=("minari",), required=True, help="target format")
-    add_out(parser, "the folder of Minari's datasets (default: Minari's own)", "FOLDER")
-    parser.add_argument("--name", default="demos", help="last part of the id (default: demos)")
-    parser.add_argument("--preset", default="LoRes4E", help="observation preset (default: LoRes4E)")
-
-
-def _push(parser: argparse.ArgumentParser) -> None:
-    _dataset(parser)
-    _repository(parser)
-    parser.add_argument(
-        "--licence",
-        "--license",
-        required=True,
-        metavar="ID",
-        help="licence identifier of the Hub, such as cc-by-4.0",
-    )
-    parser.add_argument("--private", action="store_true", help="make a new repository private")
-
-
-def _pull(parser: argparse.ArgumentParser) -> None:
-    _repository(parser)
-    add_out(parser, "new folder to download into", "DIR", required=True)
-    parser.add_argument("--revision", metavar="REV", help="a branch, tag or commit")
-
-
-def _repository(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("repo", metavar="OWNER/NAME", help="the dataset repository")
-
-
-def _dataset(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("dataset", type=Path, metavar="DIR", help="the dataset's folder")
+def run(args: argparse.Namespace) -> int:
+    """Run the chosen sub-command."""
+    return int(args.run_demos(args))
 
 
 def _workers(args: argparse.Namespace) -> int:

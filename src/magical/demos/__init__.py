@@ -1,13 +1,13 @@
 """Demonstrations: datasets of trajectories, recording, the published human data, and export.
 
-from magical.demos import Dataset, RecordTrajectories
+from magical.demos import Dataset, observations
 
-dataset = Dataset.open("demos").filter(task="MoveToCorner", min_score=0.9)
-arrays = dataset.arrays(observation="LoRes4E")
+for trajectory in Dataset.open("demos").filter(task="MoveToCorner", min_score=0.9):
+    batch = observations(trajectory, "LoRes4E")
 """
 
 from magical.demos.dataset import Dataset, DatasetWriter, Entry
-from magical.demos.reader import Frames, ObservationReader, observations
+from magical.demos.reader import Frames, TrajectorySource, observations
 from magical.demos.record import RecordTrajectories
 from magical.demos.trajectory import Actor, Trajectory
 
@@ -17,8 +17,8 @@ __all__ = [
     "DatasetWriter",
     "Entry",
     "Frames",
-    "ObservationReader",
     "RecordTrajectories",
     "Trajectory",
+    "TrajectorySource",
     "observations",
 ]

@@ -24,20 +24,12 @@ from msgspec import Meta
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
-from magical.demos.reader import ObservationReader
-from magical.demos.trajectory import (
-    ACTION_COLUMNS,
-    VIEWS,
-    Trajectory,
-    without_velocities,
-)
+from magical.demos.trajectory import ACTION_COLUMNS, VIEWS, Trajectory, without_velocities
 from magical.envs.action_spec import ActionSpaceName
 from magical.envs.ids import EnvId, parse_env_id, split_env_id
-from magical.errors import DatasetError, MagicalError, ObservationError, TrajectoryError
+from magical.errors import DatasetError, MagicalError, TrajectoryError
 from magical.files import write_atomically
 from magical.messages import printable, quoted
-from magical.observe import Observation
-from magical.observe.arrays import empty, select
 from magical.scene import Dynamics, Scene
 from magical.tasks import get_task
 from magical.tasks.axes import full_variant
@@ -50,7 +42,6 @@ MAX_MEMBERS = 16
 MAX_ACTIONS = 1 << 21  # numbers; a discrete one takes a step of 1/8 s
 MAX_MESSAGE = 1000  # characters of an error
 _FIELDS = ("seed", "score", "published_code_score", "demonstrator", "metadata")
-_COLUMNS = "actions", "labels", "is_demonstrated"
 
 Score = Annotated[float, Meta(ge=0.0, le=1.0)]
 
@@ -183,9 +174,6 @@ class Dataset(Sequence[Trajectory]):
 
         `variant` is a name such as `TestJitter` or `Jitter`; a preset in `env_id` is ignored;
         `min_score` bounds the appendix's score, or the published code's where poses are unknown.
-
-        Raises:
-            UnknownNameError: there is no such task, variant or environment.
         """
         # A name that is not in the dataset is not an error; a misspelt one is.
         if task and all(task != entry.task for entry in self.entries):
@@ -195,13 +183,17 @@ class Dataset(Sequence[Trajectory]):
         wanted = env_id and split_env_id(env_id).without_preset
         if wanted and all(wanted != entry.env_id for entry in self.entries):
             parse_env_id(str(wanted))
+        conditions = {
+            "task": task,
+            "variant": variant,
+            "env_id": wanted,
+            "demonstrator": demonstrator,
+        }
+        given = {name: value for name, value in conditions.items() if value is not None}
         kept = [
             entry
             for entry in self.entries
-            if task in (None, entry.task)
-            and variant in (None, entry.variant)
-            and wanted in (None, entry.env_id)
-            and demonstrator in (None, entry.demonstrator)
+            if all(getattr(entry, name) == value for name, value in given.items())
             and (min_score is None or entry.final_score >= min_score)
         ]
         return Dataset(self.path, kept)
@@ -218,53 +210,6 @@ class Dataset(Sequence[Trajectory]):
         spaces = {entry.action_space for entry in self.entries}
         return "continuous" if "continuous" in spaces else "discrete"
 
-    def arrays(self, observation: Observation = "LoRes4E") -> dict[str, Any]:
-        """All N steps of all trajectories as plain arrays; `observation` as in `make_spec`.
-
-        Returns:
-            `observations` (N, *shape), or a dict of such arrays: the observation before each
-            action; `None` if there are no trajectories.
-            `actions` (N,) int64, or (N, 3) float64 if any are continuous: the executed actions.
-            `labels`, of the same form: the actions to imitate; they may differ from those executed.
-            `is_demonstrated` (N,) bool: false if a policy acted and no expert labelled the state.
-            `episodes`, `steps` (N,) int64: index of the trajectory, and of the step in it.
-            `env_ids`, `scores`, `published_code_scores`, `demonstrators`: one for each trajectory.
-
-        Raises:
-            ObservationError: the tasks' state vectors have different lengths.
-            TrajectoryError: a recording lacks what the observation needs.
-        """
-        entries, space = self.entries, self.action_space()
-        lengths = np.array([entry.length for entry in entries], np.int64)
-        total, starts = int(lengths.sum()), np.cumsum(lengths) - lengths
-        fields: Any = None
-        batch: Any = None
-        columns: dict[str, list[NDArray[Any]]] = {name: [] for name in _COLUMNS}
-        for start, stored in zip(starts, self, strict=True):
-            trajectory, reader = (
-                stored.with_action_space(space),
-                ObservationReader(stored, observation),
-            )
-            if batch is None:
-                fields, batch = reader.spec.fields, empty(reader.spec.fields, (total,))
-            if reader.spec.fields != fields:
-                raise ObservationError(
-                    f"expected {fields}, found {reader.spec.fields}; filter by task"
-                )
-            reader.read(np.arange(len(stored)), select(batch, slice(start, start + len(stored))))
-            for name, parts in columns.items():
-                parts.append(getattr(trajectory, name))
-        return {
-            "observations": batch,
-            **{name: np.concatenate(parts or [np.empty(0)]) for name, parts in columns.items()},
-            "episodes": np.repeat(np.arange(len(lengths)), lengths),
-            "steps": np.arange(total) - np.repeat(starts, lengths),
-            "env_ids": np.array([str(entry.env_id) for entry in entries]),
-            "scores": np.array([np.nan if e.score is None else e.score for e in entries]),
-            "published_code_scores": np.array([e.published_code_score for e in entries]),
-            "demonstrators": np.array([entry.demonstrator for entry in entries]),
-        }
-
 
 class DatasetWriter:
     """Appends to a dataset, created if it does not exist; several processes may append at once.
@@ -280,8 +225,9 @@ class DatasetWriter:
         with self._writing():
             self.path.mkdir(parents=True, exist_ok=True)
             names = [file.name for file in self.path.iterdir() if file.is_file()]
-        self._next = sum(name.endswith(SUFFIX) for name in names)
-        others = [n for n in names if not n.startswith(".") and not n.endswith(SUFFIX)]
+        numbers = [int(n.removesuffix(SUFFIX)) for n in names if n.removesuffix(SUFFIX).isdigit()]
+        self._next = max(numbers, default=-1) + 1
+        others = [name for name in names if not name.startswith(".")]
         if others and not self._next:
             raise DatasetError(
                 f"{self.path}: expected a dataset, or an empty or a new folder, found one with "

@@ -32,11 +32,7 @@ LAST_FRAME_REPEATS = 12  # of the final frame of a demonstration
 
 
 def write_video(trajectories: Iterable[Trajectory], path: Path | str) -> int:
-    """Write an MP4 of all trajectories, one after another (extra `video`).
-
-    Returns:
-        The number of frames.
-    """
+    """Write an MP4 of all trajectories (extra `video`); returns its number of frames."""
     require("video")
     import av
 
@@ -78,17 +74,10 @@ def video_frames(trajectory: Trajectory) -> Iterator[NDArray[np.uint8]]:
 def export_minari(dataset: Dataset, name: str = "demos", preset: str = "LoRes4E") -> list[str]:
     """Write Minari datasets `magical/<Task>-<Variant>-<preset>/<name>-v0` (extra `minari`).
 
-    Observations are the preset's, as the environment returned them, without loss. Actions are the
-    executed ones. The info of observation t has the action to imitate in step t as `expert_action`,
-    if there are others than the executed ones, and `is_demonstrated`, if a policy acted in some
-    steps; the last info has the known scores. Rewards are 0.
-
-    Returns:
-        The datasets' ids, one for each environment.
-
-    Raises:
-        DatasetError: Minari refuses, as for a name that exists.
-        TrajectoryError: a recording of frames lacks those of the preset.
+    Observations are the preset's, without loss; actions the executed ones; rewards 0. The info of
+    observation t has the action to imitate in step t as `expert_action`, if there are others than
+    the executed ones, and `is_demonstrated`, if a policy acted in some steps; the last info has the
+    known scores. Returns the datasets' ids, one for each environment.
     """
     require("minari")
     import minari
@@ -151,14 +140,8 @@ def _buffers(part: Dataset, preset: str, actions: ActionSpec) -> Iterator[Any]:
 def push(dataset: Dataset, repo: str, licence: str, *, private: bool = False) -> str:
     """Upload a dataset to the Hub, in place of an earlier one (extra `hub`).
 
-    Args:
-        dataset: the dataset.
-        repo: `OWNER/NAME`, created if it does not exist.
-        licence: a licence identifier of the Hub, such as `cc-by-4.0`.
-        private: whether a new repository is private.
-
-    Returns:
-        The repository's address.
+    The repository `OWNER/NAME` is created if it does not exist, then private if that is asked for;
+    `licence` is an identifier of the Hub, such as `cc-by-4.0`. Returns the repository's address.
 
     Raises:
         DatasetError: the dataset contains published human demonstrations, which carry no licence,

@@ -46,8 +46,7 @@ def generate(
     """Write `number` demonstrations by the task's scripted expert to a dataset.
 
     Attempt i starts in the scene of `reset(seed=episode_seed(seed, i))`, with its own strategy.
-    Demonstrations that the dataset holds are not made again, so an interrupted call can be
-    repeated.
+    Demonstrations that the dataset holds are not made again: an interrupted call can be repeated.
 
     Args:
         env_id: the environment's id; a preset in it is ignored.
@@ -88,10 +87,8 @@ def generate(
             if score < min_score:
                 dropped += 1
                 if dropped > MAX_DROPPED * number:
-                    raise DatasetError(
-                        f"{env_id}: {dropped} attempts scored less than {min_score}; give a lower "
-                        "score or a lower share of perturbed steps"
-                    )
+                    what = f"{dropped} attempts scored less than {min_score}"
+                    raise DatasetError(f"{env_id}: {what}; give a lower score, or perturb less")
                 continue
             if trajectory is not None:
                 writer.append(trajectory)
@@ -104,11 +101,7 @@ def generate(
 def demonstrate(env_id: str, seed: int, *, perturb: float = 0.0) -> Trajectory:
     """One episode of the scripted expert, in the scene of `reset(seed=seed)`.
 
-    `perturb` is as in `generate`.
-
-    Raises:
-        NoExpertError: the task has no expert.
-        InvalidSceneError: the sampled scene does not fit the task.
+    `perturb` is as in `generate`. Raises `NoExpertError` if the task has no expert.
     """
     parsed = parse_env_id(env_id)
     episode = rollout(parsed.task, parsed.variant, seed, perturb=perturb)

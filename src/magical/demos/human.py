@@ -12,13 +12,14 @@ import math
 import pickle
 import pickletools
 import re
+from collections import namedtuple
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,17 +82,15 @@ class ImportReport:
 def download(
     sums: Mapping[str, str], folder: Path, base_url: str, progress: Callable[[int], None]
 ) -> tuple[list[Path], list[str]]:
-    """Fetch the files that are not yet in a folder; returns the files there and the errors.
+    """Fetch the files that are not yet in a folder (extra `human`).
 
-    Args:
-        sums: the files' SHA-256 sums, by path relative to `base_url` and `folder`.
-        folder: where they are stored.
-        base_url: an http or https address.
-        progress: called with 1 after every file.
+    `sums` has the files' SHA-256 sums, by path relative to `base_url` and `folder`.
+
+    Returns:
+        The files that are there now, and what is wrong with the others.
 
     Raises:
-        DownloadError: the server cannot be reached.
-        MissingDependencyError: pooch is not installed.
+        DownloadError: the server cannot be reached, or has none of the first files.
     """
     require("human")
     import pooch
@@ -105,10 +104,9 @@ def download(
         try:
             found.append(Path(source.fetch(name)))
         except (OSError, ValueError) as error:
-            problem = f"{url}{name}: {printable(str(error))}; run again to fetch what is missing"
-            if isinstance(error, ConnectionError) or not found:
-                raise DownloadError(problem) from error
-            errors.append(problem)
+            errors.append(f"{url}{name}: {printable(str(error))}; run again for what is missing")
+            if not found and len(errors) in (3, len(sums)):
+                raise DownloadError(errors[-1]) from error
         progress(1)
     return found, errors
 
@@ -129,28 +127,18 @@ def import_published(
     skip_duplicates: bool = False,
     progress: Callable[[int], None] = lambda _: None,
 ) -> ImportReport:
-    """Append published files to a dataset, in order; a bad file does not stop the others.
+    """Append published files to a dataset, in order, unless they are there already.
 
-    Files that are already in the dataset are skipped.
-
-    Args:
-        files: the published files.
-        out: the dataset's folder, created if it does not exist.
-        workers: as in `generate`; each takes half a gigabyte.
-        skip_duplicates: skip files with the same actions and frames as an earlier one.
-        progress: called with the number of files finished since the last call.
-
-    Raises:
-        DatasetError: the dataset cannot be written; what was already imported stays.
+    A bad file does not stop the others. Each of the `workers` takes half a gigabyte. With
+    `skip_duplicates`, files with the same actions and frames as an earlier one are left out.
     """
     writer, entries = DatasetWriter(out), Dataset.open(out).entries
     known = {(entry.name, entry.metadata.get("source_sha256")) for entry in entries}
     wanted = [file for file in files if (file.name, sha256(file)) not in known]
-    report = ImportReport(already=[file.name for file in files if file not in set(wanted)])
+    report = ImportReport(already=[file.name for file in files if file not in wanted])
     first = {entry.fingerprint: entry.name for entry in entries}
     progress(len(report.already))
-    workers = max(1, min(workers, len(wanted)))
-    with closing(map_in_order(_outcome, wanted, workers)) as outcomes:
+    with closing(map_in_order(_outcome, wanted, min(workers, len(wanted) or 1))) as outcomes:
         for file, outcome in outcomes:
             progress(1)
             if not isinstance(outcome, Trajectory):
@@ -186,9 +174,9 @@ def read_demonstration(path: Path) -> PublishedDemonstration:
     """
     try:
         digest = sha256(path)
-        expected = {Path(name).name: sum_ for name, sum_ in published_sums().items()}.get(path.name)
-        if expected not in (None, digest):
-            raise UnsafeFileError(f"expected SHA-256 {expected}, found {digest}")
+        expected = {Path(name).name: known for name, known in published_sums().items()}
+        if expected.get(path.name, digest) != digest:
+            raise UnsafeFileError(f"expected SHA-256 {expected[path.name]}, found {digest}")
         with gzip.open(path) as file:
             data = file.read(MAX_UNPACKED + 1)
         if len(data) > MAX_UNPACKED:
@@ -206,14 +194,12 @@ def read_demonstration(path: Path) -> PublishedDemonstration:
 def average(frame: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """A frame (384, 384, 3) averaged 4 x 4 to (96, 96, 3), with halves rounded to even."""
     rows = frame.reshape(FRAME_SIZE, BINNING, -1).sum(axis=1, dtype=np.uint16)
-    parts = rows.reshape(FRAME_SIZE, FRAME_SIZE, BINNING, 3)
-    total = parts[:, :, 0] + parts[:, :, 1] + parts[:, :, 2] + parts[:, :, 3]
-    mean: NDArray[np.uint8] = np.rint(total / BINNING**2).astype(np.uint8)
-    return mean
+    total = rows.reshape(FRAME_SIZE, FRAME_SIZE, BINNING, 3).sum(axis=2)
+    return np.asarray(np.rint(total / BINNING**2).astype(np.uint8))
 
 
 def sha256(path: Path) -> str:
-    """The SHA-256 sum of a file of limited size; raises `UnsafeFileError`."""
+    """The SHA-256 sum of a file of limited size."""
     if path.stat().st_size > MAX_FILE:
         raise UnsafeFileError(f"{path}: expected at most {MAX_FILE} bytes, found more")
     return hashlib.sha256(path.read_bytes()).hexdigest()
@@ -227,21 +213,14 @@ def published_sums() -> Mapping[str, str]:
     return {path: digest for digest, path in lines}
 
 
-class _Record(NamedTuple):
-    """The named tuple of the published files."""
-
-    acts: Any
-    obs: Any
-    rews: Any
-    infos: Any
-
-
 _NAMES: Mapping[tuple[str, str], Any] = {
     ("numpy", "dtype"): lambda code, *_: np.dtype({"u1": "u1", "i8": "<i8"}.get(code, "<f8")),
     ("numpy", "ndarray"): None,  # the first argument of the next one, which does not use it
     ("numpy.core.multiarray", "_reconstruct"): lambda *_: np.ndarray(0, np.uint8),
     ("collections", "OrderedDict"): dict,
-    ("milbench.baselines.saved_trajectories", "MILBenchTrajectory"): _Record,
+    ("milbench.baselines.saved_trajectories", "MILBenchTrajectory"): namedtuple(
+        "MILBenchTrajectory", ("acts", "obs", "rews", "infos")
+    ),
 }
 
 
@@ -265,7 +244,7 @@ def _demonstration(data: Any, source: Mapping[str, str]) -> PublishedDemonstrati
     record, env_name, score = data["trajectory"], data["env_name"], data["score"]
     if not re.fullmatch(r"\w+-Demo-v0", env_name):  # no module's name, which would be imported
         raise UnsafeFileError(f"expected a Demo environment, found {quoted(env_name)}")
-    if not isinstance(score, int | float) or not 0.0 <= score <= 1.0:
+    if not 0.0 <= score <= 1.0:
         raise UnsafeFileError(f"score: expected a number from 0 to 1, found {quoted(score)}")
     if len(record.obs) * math.prod(_SHAPE) > MAX_UNPACKED:  # frames may be shared
         raise UnsafeFileError(f"obs: expected fewer, found {len(record.obs)}")

@@ -95,41 +95,17 @@ class TrajectorySource:
         return bodies
 
 
-class ObservationReader:
-    """Random access to the observations of one trajectory; `observation` as in `make_spec`."""
-
-    def __init__(self, trajectory: Trajectory, observation: Observation = "LoRes4E") -> None:
-        self.spec = make_spec(observation, trajectory.task)
-        self._source = TrajectorySource(trajectory)
-
-    def read(self, times: ArrayLike, out: Any = None) -> Any:
-        """Observations at time steps `times` (B,), each 0 to T.
-
-        Observation 0 is what `reset` returned, observation t what the t-th `step` returned.
-
-        Returns:
-            An array (B, *shape), or a dict of such arrays; `out`, if it is given.
-
-        Raises:
-            TrajectoryError: a time step is outside the trajectory, or the trajectory lacks what
-                the observation needs.
-        """
-        steps = np.atleast_1d(np.asarray(times, np.intp))
-        last = len(self._source)
-        if len(steps) and (steps.min() < 0 or steps.max() > last):
-            raise TrajectoryError(
-                f"time steps: expected 0 to {last}, found {steps.min()} to {steps.max()}"
-            )
-        return self.spec.read(self._source, steps, out)
-
-
 def observations(
     trajectory: Trajectory, observation: Observation = "LoRes4E", times: ArrayLike | None = None
 ) -> Any:
     """The observations that the environment returned: an array (T + 1, *shape), or a dict of them.
 
-    `times` are time steps from 0 to T (default: all). Raises `TrajectoryError` if a recording of
-    frames lacks the observation, or velocities, which state vectors need, are unknown.
+    Observation 0 is what `reset` returned, observation t what the t-th `step` returned. `times` are
+    time steps from 0 to T (default: all). Raises `TrajectoryError` if a recording of frames lacks
+    the observation, or velocities, which state vectors need, are unknown.
     """
-    steps = np.arange(len(trajectory) + 1) if times is None else times
-    return ObservationReader(trajectory, observation).read(steps)
+    steps = np.arange(len(trajectory) + 1) if times is None else np.asarray(times, np.intp)
+    if len(steps) and not 0 <= steps.min() <= steps.max() <= len(trajectory):
+        found = f"{steps.min()} to {steps.max()}"
+        raise TrajectoryError(f"time steps: expected 0 to {len(trajectory)}, found {found}")
+    return make_spec(observation, trajectory.task).read(TrajectorySource(trajectory), steps)

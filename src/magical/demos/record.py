@@ -22,9 +22,8 @@ from magical.scene import Dynamics, Scene
 class RecordTrajectories(gym.Wrapper[Any, Any, Any, Any]):
     """A wrapper that stores every finished episode in a dataset, which is created if needed.
 
-    It passes everything through unchanged, so it works with a policy, an expert or
-    `gymnasium.utils.play`, and with other wrappers inside or around it. An episode that is reset
-    before its end is not stored.
+    It works with any policy or `gymnasium.utils.play`, and with other wrappers inside or around it.
+    An episode that is reset before its end is not stored.
 
     Args:
         env: one of magical's environments, optionally wrapped.
@@ -34,8 +33,7 @@ class RecordTrajectories(gym.Wrapper[Any, Any, Any, Any]):
         metadata: plain JSON data to store with every episode.
 
     Raises:
-        TrajectoryError: the environment is not one of magical's; or `set_state` was called during
-            an episode.
+        TrajectoryError: the environment is not one of magical's, or `set_state` was called.
         DatasetError: the dataset cannot be written.
     """
 
@@ -49,10 +47,9 @@ class RecordTrajectories(gym.Wrapper[Any, Any, Any, Any]):
         metadata: Mapping[str, Any] | None = None,
     ) -> None:
         super().__init__(env)
-        inner = env.unwrapped
-        if not isinstance(inner, MagicalEnv):
-            raise TrajectoryError(f"expected one of magical's environments, found {inner}")
-        self._inner = inner
+        if not isinstance(env.unwrapped, MagicalEnv):
+            raise TrajectoryError(f"expected one of magical's environments, found {env.unwrapped}")
+        self._inner = env.unwrapped
         self._writer = DatasetWriter(dataset)
         self._by: dict[str, Any] = {"demonstrator": demonstrator, "metadata": metadata or {}}
         self._min_score = min_score

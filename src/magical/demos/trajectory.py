@@ -44,18 +44,13 @@ class Trajectory:
     """A recorded episode of T control steps, with T + 1 time steps from `reset` to its end.
 
     It has `bodies`, from which any view can be rendered exactly at any resolution, or `frames`, or
-    both. Velocities that were not recorded are NaN; state vectors need them. Arrays are made
-    read-only; writeable ones are copied. Metadata is plain JSON data.
+    both. Velocities that were not recorded are NaN. Arrays are made read-only.
 
-    `actions` are the executed ones, which led from each pose to the next. They are discrete or
-    continuous, as are all other actions of the episode. If actions other than the expert's were
-    executed, as in perturbed demonstrations and in DAgger's episodes, `expert_actions` has the
-    expert's choice in each state. Imitation learners learn `labels`.
-
-    In an episode in which a person watched a policy and took over, `actors` says who acted in each
-    step, and `policy_actions` what the policy chose in each state, executed or not. Learners leave
-    out the steps that are not `is_demonstrated`, so that no policy learns its own mistakes (Kelly
-    et al., "HG-DAgger: interactive imitation learning with human experts", ICRA 2019).
+    If actions other than the expert's were executed, as in perturbed demonstrations and in
+    DAgger's episodes, `expert_actions` has the expert's choice in each state. Imitation learners
+    learn `labels`. In an episode in which a person watched a policy and took over, `actors` says
+    who acted, and `policy_actions` what the policy chose in each state. Learners leave out the
+    steps that are not `is_demonstrated` (Kelly et al., "HG-DAgger", ICRA 2019).
 
     Raises:
         TrajectoryError: the parts do not match; the message names the one at fault.
@@ -117,20 +112,14 @@ class Trajectory:
         """
         table, rows = np.asarray(bodies, np.float64), FIRST_BLOCK + len(scene.blocks)
         if table.shape[1:] not in ((rows, 3), (rows, 6)) or not len(table):
-            raise TrajectoryError(
-                f"bodies: expected shape (T + 1, {rows}, 6 or 3), found {table.shape}"
-            )
+            raise TrajectoryError(f"bodies: expected (T + 1, {rows}, 6 or 3), found {table.shape}")
         parsed, last = parse_env_id(env_id), Poses(table[-1, :, :3])
-        task = parsed.task_spec
-        task.validate(scene)
+        parsed.task_spec.validate(scene)
+        more |= {"score": float(parsed.task_spec.score(scene, last))}
+        more |= {"published_code_score": parsed.task_spec.published_code_score(scene, last)}
+        table = table if table.shape[2] == 6 else without_velocities(table)
         return Trajectory(
-            env_id=parsed,
-            scene=scene,
-            actions=np.asarray(actions),
-            bodies=table if table.shape[2] == 6 else without_velocities(table),
-            score=float(task.score(scene, last)),
-            published_code_score=float(task.published_code_score(scene, last)),
-            **more,
+            env_id=parsed, scene=scene, actions=np.asarray(actions), bodies=table, **more
         )
 
     def __len__(self) -> int:
@@ -152,15 +141,13 @@ class Trajectory:
         """Whether each label, (T,), is a demonstrator's, not a policy's own action."""
         if self.actors is None or self.expert_actions is not None:
             return np.ones(len(self), np.bool_)
-        demonstrated: NDArray[np.bool_] = self.actors != Actor.POLICY
-        return demonstrated
+        return np.asarray(self.actors != Actor.POLICY)
 
     @property
     def is_intended(self) -> NDArray[np.bool_]:
         """Whether each executed action, (T,), is one that a demonstrator chose."""
         same = (self.labels == self.actions).reshape(len(self), -1).all(axis=1)
-        intended: NDArray[np.bool_] = self.is_demonstrated & same
-        return intended
+        return np.asarray(self.is_demonstrated & same)
 
     @property
     def action_space(self) -> ActionSpaceName:
@@ -170,21 +157,17 @@ class Trajectory:
     def with_action_space(self, name: ActionSpaceName) -> "Trajectory":
         """The same episode with actions of another kind, which produce the same motions.
 
-        Raises:
-            TrajectoryError: some continuous actions are not among the 18 discrete ones.
-            UnknownNameError: there is no such action space.
+        Raises `TrajectoryError` if continuous actions are not among the 18 discrete ones.
         """
-        spec = action_spec(name)
         if self.action_space == name:
             return self
         columns = {each: getattr(self, each) for each in ACTION_COLUMNS}
+        given: dict[str, Any] = {each: c for each, c in columns.items() if c is not None}
         try:
-            converted: dict[str, Any] = {
-                each: spec.convert(column) for each, column in columns.items() if column is not None
-            }
+            given |= {each: action_spec(name).convert(c) for each, c in given.items()}
+            return replace(self, **given)
         except InvalidActionError as error:
             raise TrajectoryError(f"{self.env_id}: {error}") from error
-        return replace(self, **converted)
 
     @property
     def task(self) -> Task:
