@@ -62,7 +62,7 @@ def pack(source: Path, results: Path, out: Path, seed: int = 0) -> list[str]:
         {
             "file": out.name,
             "bytes": out.stat().st_size,
-            "sha256": sha256_sum(out, follow_links=True),
+            "sha256": sha256_sum(out),
             "seed": seed,
             "runs": list(entries),
         },
@@ -80,7 +80,7 @@ def unpack(archive: Path, results: Path, out: Path) -> list[str]:
     if not (results / WEIGHTS).exists():
         raise ResultsError(f"{results}: expected {WEIGHTS}, found none: no weights were packed")
     stated = read_json(results / WEIGHTS)
-    if (found := sha256_sum(archive, follow_links=True)) != stated["sha256"]:
+    if (found := sha256_sum(archive)) != stated["sha256"]:
         raise ResultsError(
             f"{archive}: expected {stated['file']} with SHA-256 {stated['sha256']}, found {found}"
         )

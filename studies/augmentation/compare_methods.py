@@ -17,10 +17,9 @@ import numpy as np
 
 from magical.envs import EnvId
 from magical.evaluation import RolloutScore
-from magical.evaluation.intervals import Floats
-from magical.evaluation.statistics import difference, run_means
+from magical.evaluation.statistics import Floats, difference, run_means
 from magical.grouping import group_by
-from magical.report.found.search import search_results
+from magical.report.found import search_results
 from magical.runs.plan import RUNS, read_listing
 from magical.tasks.axes import SHORT_VARIANTS, short_variant
 

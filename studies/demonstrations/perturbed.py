@@ -18,8 +18,7 @@ from magical.demos import Dataset
 from magical.demos.generate import generate
 from magical.envs import EnvId
 from magical.evaluation import RolloutScore, environments, evaluate, read_scores, write_scores
-from magical.evaluation.intervals import Interval
-from magical.evaluation.statistics import difference, mean, run_means
+from magical.evaluation.statistics import Interval, difference, mean, run_means
 from magical.learning import train
 from magical.learning.algorithms.bc import BCConfig
 from magical.tasks.axes import short_variant

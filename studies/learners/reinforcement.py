@@ -18,8 +18,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from magical.evaluation import FunctionPolicy, RandomPolicy, evaluate
-from magical.evaluation.intervals import rollout_mean, weighted_sum
 from magical.evaluation.policy import Policy
+from magical.evaluation.statistics import rollout_mean, weighted_sum
 from magical.learning import find_algorithm, train
 from magical.learning.algorithms.ppo import PPOConfig
 from magical.learning.config import Config

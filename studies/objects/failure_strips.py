@@ -14,7 +14,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from magical.evaluation import Entry, RolloutScore, read_entry
 from magical.learning import load_policy
-from magical.report.figures.clips import Clip, record_rollouts
+from magical.report.figures import Clip, record_rollouts
 from magical.tasks.axes import full_variant
 
 MARGIN, FONT_SIZE = 6, 13

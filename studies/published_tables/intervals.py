@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri, stdtrit
 
 from magical.evaluation import statistics
-from magical.evaluation.intervals import Interval, rollout_mean, wilson_interval
+from magical.evaluation.statistics import Interval, rollout_mean, wilson_interval
 from magical.tasks import TASKS
 
 Floats = NDArray[np.float64]

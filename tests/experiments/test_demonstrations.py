@@ -31,7 +31,7 @@ def test_demonstrations_of_a_dataset(
     with pytest.raises(DemonstrationsError, match="at least 4 demonstrations of MoveToRegion"):
         execute(planned(("num_demos = 2", "num_demos = 4"), demos=str(demos)), tmp_path / "few")
     execute(runs[:1], out)
-    assert read_entry(out / "runs" / runs[0].folder).details["demonstrations"].endswith("(dataset)")
+    assert read_entry(out / "runs" / runs[0].folder).record.demonstrations.endswith("(dataset)")
     generate("magical/MoveToCorner-Demo-v0", 1, demos, workers=1)
     assert execute(runs[:1], out).complete  # another task's are not what it learned from
     DatasetWriter(demos).append(Dataset.open(demos)[0])
@@ -92,7 +92,7 @@ def test_perturbed_experts(planned: Planned, inline: Started, out: Path) -> None
     assert json.loads((out / "runs" / run.folder / "config.json").read_text())["demos"] == str(
         demos.path
     )
-    assert read_entry(out / "runs" / run.folder).details["demonstrations"] == (
+    assert read_entry(out / "runs" / run.folder).record.demonstrations == (
         "2 of each task (expert, perturb 0.5, min_score 0.5)"
     )
 
@@ -111,8 +111,8 @@ def test_the_experts_demonstrations_are_added_to_a_dataset(
     assert [e.demonstrator for e in pooled.entries] == ["human"] * 2 + ["expert"] * 3
     expected = [theirs[i].actions.tolist() for i in (2, 1, 0, 1, 2)]
     assert [one.actions.tolist() for one in pooled] == expected
-    details = read_entry(out / "runs" / runs[0].folder).details
-    assert details["demonstrations"] == "5 of each task (dataset and expert)"
+    record = read_entry(out / "runs" / runs[0].folder).record
+    assert record.demonstrations == "5 of each task (dataset and expert)"
     whole = list(pooled)
     shutil.rmtree(pooled.path)
     DatasetWriter(pooled.path).append(whole[0])

@@ -22,7 +22,7 @@ from magical.experiments.execution import LocalExecutor, Resources, execute
 from magical.experiments.one_run import evaluate_reference
 from magical.experiments.results import Results
 from magical.experiments.status import read_status
-from magical.files import lock_now
+from magical.files import owned
 from magical.learning import load_policy, read_config
 from magical.learning.algorithms import bc
 from magical.learning.running import training
@@ -57,12 +57,12 @@ def test_every_run_is_a_run_folder_with_an_entry_and_a_record(
         entry = read_entry(folder)
         assert entry.method == "BC tiny"
         assert [str(row.env_id) for row in entry.scores] == ["magical/MoveToRegion-Demo-v0"]
-        assert entry.details["demonstrations"] == "2 of each task (expert)"
-        assert entry.details["learned_from"] == ["demonstrations"]
-        assert entry.details["policy"] == "."
-        assert entry.nudge == 1e-9
-        assert entry.details["machine"] == machine()
-        assert entry.details["versions"] == versions()
+        assert entry.record.demonstrations == "2 of each task (expert)"
+        assert entry.record.learned_from == ("demonstrations",)
+        assert entry.record.policy == "."
+        assert entry.evaluated.nudge == 1e-9
+        assert entry.record.machine == machine()
+        assert entry.record.versions == versions()
         assert read_config(folder).seed == run.seed
         assert load_policy(folder).tasks == ("MoveToRegion",)
         record = records[run.folder]
@@ -247,9 +247,9 @@ def test_a_plan_that_is_refused_leaves_the_one_before_listed(
 def test_a_folder_is_used_by_one_execution_at_a_time(
     planned: Planned, inline: Started, copied: Path
 ) -> None:
-    with lock_now(copied / ".lock"):
+    with owned(copied, ResultsError, "runs a plan"):
         assert read_status(copied).active
-        with pytest.raises(ResultsError, match=f"process {os.getpid()} already runs a plan"):
+        with pytest.raises(ResultsError, match="another process already runs a plan"):
             execute(planned(), copied)
     (copied / "runs" / planned()[0].folder / "result.json").write_text("{")
     status = read_status(str(copied))

@@ -12,14 +12,14 @@ from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
+from magical.report.found.search import find_results
+from magical.report.leaderboard.checks import faults
 
 from magical.cli import main
 from magical.demos import DatasetWriter, Trajectory
 from magical.envs import EnvId
 from magical.evaluation import read_entry
 from magical.learning import algorithm_names
-from magical.report.found.search import find_results
-from magical.report.leaderboard.checks import faults
 from magical.scene import Poses
 from magical.tasks import get_task, register_task, unregister_task
 from magical.tasks.registry import import_tasks

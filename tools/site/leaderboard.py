@@ -2,10 +2,11 @@
 
 from collections.abc import Iterator
 
-from magical.report.leaderboard import Leaderboard
 from magical.report.leaderboard.checks import by_reasons
 from magical.report.leaderboard.ranking import Board, Standing
 from magical.report.scores.summaries import interval_text
+
+from magical.report.leaderboard import Leaderboard
 from magical.runs.sources import CLASSES, SOURCES
 from tools.readme_tables import table
 

@@ -4,11 +4,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 
+from magical.report.figures.clips import Clip, encoded
+
 from magical.demos.generate import demonstrate
 from magical.demos.store.reader import Frames
 from magical.envs import EnvId
 from magical.processes import checked_workers, map_in_processes
-from magical.report.figures.clips import Clip, encoded
 from magical.scene import View
 from magical.scene.constants import CONTROL_RATE
 from tools.site.descriptions import describe_scene

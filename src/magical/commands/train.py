@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
     """Train, or resume."""
     from magical.errors import InvalidConfigError
     from magical.learning import train
-    from magical.report.figures.curves import save_learning_curves
+    from magical.report.figures import save_learning_curves
 
     def plot_at_evaluations(step: int, metrics: Mapping[str, float | str]) -> None:
         if "evaluation_score" in metrics:

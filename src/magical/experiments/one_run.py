@@ -10,13 +10,12 @@ from typing import Any
 
 from magical.errors import MagicalError, ScoresError
 from magical.evaluation import BUILT_IN, Entry, read_entry
-from magical.evaluation.entry import ENTRY_FILE, SCORES_FILE
+from magical.evaluation.entry import record_of
 from magical.evaluation.protocol import Evaluation
 from magical.evaluation.rollouts import modules_for, roll_out
-from magical.experiments.entries import evaluation_details
 from magical.experiments.plan import PlannedRun
 from magical.experiments.results import DONE, FAILED, Outcome
-from magical.files import is_out_of_space, remove_partial_files
+from magical.files import is_out_of_space
 from magical.learning import is_run, load_policy, train
 from magical.learning.algorithms import modules_of
 from magical.learning.config import DemonstrationSettings
@@ -44,7 +43,6 @@ def finish(run: PlannedRun, folder: Path, demos: Path | None) -> Outcome:
     source_commit()  # now: the source may change while the run is in progress
     try:
         (folder / RESULT).unlink(missing_ok=True)
-        remove_partial_files(folder, RESULT, SCORES_FILE, ENTRY_FILE)
         seconds = _train_and_evaluate(run, folder, demos)
         if seconds is None:
             return Outcome("interrupted", time.perf_counter() - start)
@@ -112,10 +110,11 @@ def evaluate_run(run: PlannedRun, folder: Path, out: Path, evaluation: Evaluatio
     with cpu_threads(run.config.threads):
         workers = 0 if run.config.threads == 1 else run.config.threads
         scores = roll_out(policy, evaluation, workers=workers)
-        details = {**evaluation_details(str(folder), out), "preset": run.preset}
+        record = replace(record_of(policy, str(folder), out), preset=run.preset)
     if run.source.kind:  # all settings are in `result.json`
-        details["demonstrations"] += f" ({run.source})"
-    Entry.of(policy, evaluation, method=run.method, scores=scores, details=details).write(out)
+        whose = f"{record.demonstrations} ({run.source})"
+        record = replace(record, demonstrations=whose)
+    Entry.of(policy, evaluation, method=run.method, scores=scores, record=record).write(out)
 
 
 def reference_folder(reference: tuple[str, Evaluation]) -> str:
@@ -129,8 +128,8 @@ def evaluate_reference(reference: tuple[str, Evaluation], results: Path) -> None
     name, evaluation = reference
     policy = BUILT_IN[name]()
     folder = results / REFERENCES / reference_folder(reference)
-    details = evaluation_details(name, folder)
-    entry = Entry.of(policy, evaluation, method=name, details=details)
+    record = record_of(policy, name, folder)
+    entry = Entry.of(policy, evaluation, method=name, record=record)
     if not _is_entry_of(folder, entry, evaluation):
         replace(entry, scores=roll_out(policy, evaluation, workers=0)).write(folder)
 
@@ -141,6 +140,4 @@ def _is_entry_of(folder: Path, entry: Entry, evaluation: Evaluation) -> bool:
         found = read_entry(folder)
     except ScoresError:
         return False
-    rollouts = len(found.scores) == evaluation.rollouts * len(evaluation.env_ids)
-    ids = {row.env_id for row in found.scores} == set(evaluation.env_ids)
-    return rollouts and ids and replace(found, scores=(), details=entry.details) == entry
+    return replace(found, scores=(), record=entry.record) == entry

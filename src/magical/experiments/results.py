@@ -18,7 +18,7 @@ from typing import Any, Literal
 from magical import __version__
 from magical.errors import ResultsError
 from magical.experiments.plan import PlannedRun
-from magical.files import OwnedFolder
+from magical.files import owned
 from magical.messages import quoted
 from magical.runs.folder import versions, write_json
 from magical.runs.plan import PLAN, RESULT, RUNS, read_listing
@@ -147,18 +147,15 @@ def opened(path: Path, runs: Sequence[PlannedRun]) -> Iterator[Results]:
             another process runs a plan in it; there is no space left.
     """
     path = path.absolute()
-    with _owned(path).locked():
+    if not is_results(path) and path.exists() and not (path.is_dir() and not any(path.iterdir())):
+        raise ResultsError(f"{path}: expected a new or an empty folder; choose another one")
+    with owned(path, ResultsError, "runs a plan in this folder"):
         if is_results(path):
             check_results(path, runs)
             (path / PROGRESS).unlink(missing_ok=True)  # left by a command that was killed
         else:
             write_json(path / EXPERIMENT, asdict(Experiment(FORMAT, uuid.uuid4().hex, versions())))
         yield Results(path, read_experiment(path).id)
-
-
-def _owned(path: Path) -> OwnedFolder:
-    written, then = (EXPERIMENT, PLAN, PROGRESS), "run the same command again"
-    return OwnedFolder(path, written, ResultsError, "runs a plan in this folder", then)
 
 
 def is_results(path: Path) -> bool:
@@ -228,5 +225,6 @@ def planned_states(path: Path, runs: Sequence[PlannedRun]) -> list[str]:
     if is_results(path):
         check_results(path, runs)
         return [read_state(path / RUNS / run.folder) or WAITING for run in runs]
-    _owned(path).require_new()
+    if path.exists() and not (path.is_dir() and not any(path.iterdir())):
+        raise ResultsError(f"{path}: expected a new or an empty folder; choose another one")
     return [WAITING] * len(runs)

@@ -138,8 +138,6 @@ def _run_status(path: Path, run: ListedRun, running: bool) -> RunStatus:
     folder = path / RUNS / run.folder
     step = 0
     try:
-        if run.damage:
-            raise ResultsError(run.damage)
         record = read_result(folder)
         if not record and (rows := read_metrics(folder)):
             step = int(rows[-1]["step"])

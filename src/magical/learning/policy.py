@@ -1,6 +1,7 @@
 """Trained networks as policies, loaded from run folders."""
 
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +16,19 @@ from magical.evaluation.policy import Actions, Mask
 from magical.learning.algorithms import find_algorithm, read_config
 from magical.learning.augmentation.augment import to_unit
 from magical.learning.config import Config
+from magical.learning.data.rendered_data import RESAMPLING
 from magical.learning.running.checkpoints import load_checkpoint, restoring
-from magical.learning.running.devices import Compute, choose_device, full_float32, read_compute
+from magical.learning.running.devices import (
+    Compute,
+    choose_device,
+    cpu_threads,
+    full_float32,
+    num_threads,
+    read_compute,
+)
 from magical.observe import ObservationSpec
 from magical.runs.folder import CHECKPOINT, RECORD, read_json
+from magical.runs.sources import LEARNED_FROM, RENDERED_STATES
 
 
 class TrainedPolicy:
@@ -31,6 +41,7 @@ class TrainedPolicy:
     """
 
     updates: tuple[int, int] | None = None
+    states_rendered = True  # whether augmentation rendered stored states, if it was asked to
 
     def __init__(
         self, network: nn.Module, config: Config, compute: Compute, greedy: bool = False
@@ -62,6 +73,18 @@ class TrainedPolicy:
             DivergedError: the network's outputs are not finite.
         """
         raise NotImplementedError
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """What entries state: algorithm, seed, what was learned from, CPU threads."""
+        details = {**self.config.training_details, "threads": num_threads()}
+        if not self.states_rendered:
+            details[LEARNED_FROM] = [x for x in details[LEARNED_FROM] if x != RENDERED_STATES]
+        return details
+
+    def using_threads(self, number: int) -> AbstractContextManager[None]:
+        """A context in which the network uses this number of CPU threads."""
+        return cpu_threads(number)
 
     def reset(self, mask: Mask) -> None:
         """Start new episodes where the mask (B,) is true; does nothing unless overridden."""
@@ -172,9 +195,11 @@ def load_policy(run: Path | str, device: str = "auto", greedy: bool = False) -> 
     with restoring(folder / CHECKPOINT):
         network.load_state_dict(state["policy"])
         done = int(state["step"])
-    recorded = read_compute(read_json(folder / RECORD), folder)
+    record = read_json(folder / RECORD)
+    recorded = read_compute(record, folder)
     precision = recorded.precision if recorded and chosen == recorded.device else "float32"
     kind = algorithm.policy or NetworkPolicy
     policy = kind(network.to(chosen), config, Compute(chosen, precision), greedy)
     policy.updates = done, config.num_updates
+    policy.states_rendered = record.get("augment_by") != RESAMPLING
     return policy

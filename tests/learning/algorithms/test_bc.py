@@ -16,7 +16,6 @@ import torch
 from magical.demos import Trajectory, observations
 from magical.errors import CheckpointError, DivergedError, InvalidConfigError, RunFolderError
 from magical.evaluation import evaluate
-from magical.experiments.entries import evaluation_details
 from magical.learning import NetworkPolicy, load_policy, train
 from magical.learning.algorithms.bc import (
     BCConfig,
@@ -321,4 +320,4 @@ def test_rendered_states_are_recorded_only_if_states_were_rendered(
          ["demonstrations", "rendered states"]),
     ):  # fmt: skip
         train(config, tmp_path / name)
-        assert evaluation_details(str(tmp_path / name), tmp_path)["learned_from"] == expected
+        assert load_policy(tmp_path / name).record["learned_from"] == expected
