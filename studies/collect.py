@@ -1,7 +1,7 @@
 """Collect the scores of a plan's runs in `studies/STUDY/results/PLAN`, without weights.
 
 python -m studies.collect RUNS [RUNS ...] --out studies/STUDY/results/PLAN [--plan FILE]
-    [--leaderboard] [--looks N] [--dataset NAME] [--import MODULE ...]
+    [--leaderboard] [--test-evaluations N] [--dataset NAME] [--import MODULE ...]
 
 RUNS are results folders of `magical run`, finished or not; several may hold parts of one plan. Runs
 that were collected before are kept and not read again, so the command can be repeated while runs
@@ -14,9 +14,9 @@ are in progress. It writes
 Entries of runs that are no longer in the plan are kept but do not count.
 
 With --leaderboard, each finished run is first evaluated by the leaderboard's protocol, from its
-checkpoint, into `leaderboard` in its run folder, unless that was done before. --looks states in the
-details of newly collected entries how often test variants had been evaluated before, --dataset
-whose demonstrations a dataset of the plan holds (`human`).
+checkpoint, into `leaderboard` in its run folder, unless that was done before. --test-evaluations
+states in newly collected entries how often test variants had been evaluated before, --dataset whose
+demonstrations a dataset of the plan holds (`human`).
 
 Runs made with a different version of the package than those collected before are left out.
 """
@@ -33,14 +33,11 @@ from typing import Any
 
 from magical.errors import MagicalError, ResultsError
 from magical.evaluation import Entry, read_entry
-from magical.evaluation.collection import read_collection, write_collection
-from magical.evaluation.entry import ENTRY_FILE
+from magical.evaluation.entry import ENTRY_FILE, read_collection, write_collection
 from magical.evaluation.protocol import NUDGE, Evaluation, environments
 from magical.plugins import import_user_module
-from magical.report.found.statements import LOOKS
 from magical.runs.folder import read_json, write_json
 from magical.runs.plan import PLAN, RUNS
-from magical.runs.sources import DEMONSTRATIONS
 from magical_baselines.experiments.one_run import evaluate_run
 from magical_baselines.experiments.plan import DATASET, PlannedRun, planned_runs, read_plan
 from magical_baselines.experiments.status import DONE, read_result
@@ -151,7 +148,7 @@ def collect(
         out: the folder to collect into.
         plan: the plan's file.
         leaderboard: whether to evaluate each run by the leaderboard's protocol first.
-        stated: `looks` and `dataset`, passed to `_entry`.
+        stated: `test_evaluations` and `dataset`, passed to `_entry`.
 
     Raises:
         ResultsError: a source is not a results folder.
@@ -175,7 +172,7 @@ def collect(
             yield f"does not count any more: {out / RUNS / name}: not a run of {plan}"
     collected.write(out, [asdict(run.listed()) for run in planned.values()])
     entries = (collected.entries[f"{RUNS}/{name}"] for name in collected.runs)
-    commits = Counter(str(entry.details.get("commit") or "unknown") for entry in entries)
+    commits = Counter(entry.record.commit or "unknown" for entry in entries)
     if len(commits) > 1:
         shown = ", ".join(f"{count} of {commit:.7}" for commit, count in commits.items())
         yield f"note: runs of several commits: {shown}"
@@ -239,15 +236,18 @@ def _is_same_run(run: PlannedRun, record: Mapping[str, Any]) -> bool:
     return json.dumps(then, sort_keys=True) == json.dumps(now, sort_keys=True)
 
 
-def _entry(folder: Path, version: str, looks: int | None = None, dataset: str = DATASET) -> Entry:
-    """A run's entry, with `looks` if stated and the dataset's name."""
+def _entry(
+    folder: Path, version: str, test_evaluations: int | None = None, dataset: str = DATASET
+) -> Entry:
+    """A run's entry, with `test_evaluations` if stated and the dataset's name."""
     entry = read_entry(folder)
     if version not in ("", entry.version):
         raise ResultsError(f"{folder}: expected an entry made by {version}, found {entry.version}")
-    details = dict(entry.details) if looks is None else {**entry.details, LOOKS: looks}
-    if DEMONSTRATIONS in details:
-        details[DEMONSTRATIONS] = str(details[DEMONSTRATIONS]).replace(DATASET, dataset)
-    return replace(entry, details=details)
+    record = entry.record
+    demonstrations = record.demonstrations.replace(DATASET, dataset)
+    number = record.test_evaluations if test_evaluations is None else test_evaluations
+    record = replace(record, demonstrations=demonstrations, test_evaluations=number)
+    return replace(entry, record=record)
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -261,7 +261,7 @@ def main(arguments: Sequence[str]) -> int:
     )
     parser.add_argument("--leaderboard", action="store_true", help="evaluate for it first")
     parser.add_argument(
-        "--looks", type=int, metavar="N", help="how often test variants were evaluated"
+        "--test-evaluations", type=int, metavar="N", help="how often test variants were evaluated"
     )
     parser.add_argument("--dataset", default=DATASET, metavar="NAME", help="such as human")
     parser.add_argument(
@@ -270,11 +270,12 @@ def main(arguments: Sequence[str]) -> int:
     args = parser.parse_args(arguments)
     for module in args.imports:
         import_user_module(module)
-    if args.looks is not None and args.looks < 0:
-        parser.error(f"--looks: expected 0 or more, found {args.looks}")
+    number = args.test_evaluations
+    if number is not None and number < 0:
+        parser.error(f"--test-evaluations: expected 0 or more, found {number}")
     name = f"{args.out.absolute().name}.toml"
     plan = args.plan or args.out.absolute().parents[1] / "plans" / name
-    stated = {"looks": args.looks, "dataset": args.dataset}
+    stated = {"test_evaluations": number, "dataset": args.dataset}
     try:
         for line in collect(args.sources, args.out, plan, args.leaderboard, **stated):
             print(line)

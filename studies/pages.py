@@ -19,12 +19,16 @@ from pathlib import Path
 from magical.envs import EnvId
 from magical.evaluation import published_tasks
 from magical.grouping import group_by
-from magical.report.found.search import Found, search_results
-from magical.report.found.statements import Statements
-from magical.report.leaderboard.checks import Rejected, by_reasons, check_entries
-from magical.report.leaderboard.ranking import ALL_TASKS, Board, make_boards
-from magical.report.scores.summaries import interval_text, over
-from magical.report.scores.tables import signed
+from magical.report.found import Found, search_results
+from magical.report.leaderboard import (
+    ALL_TASKS,
+    Board,
+    Rejected,
+    by_reasons,
+    check_entries,
+    make_boards,
+)
+from magical.report.table import Statements, interval_text, over, signed
 from magical.tasks.axes import SHORT_VARIANTS
 from studies.generated_tasks.baselines import (
     BESIDE,
@@ -261,11 +265,11 @@ class Page:
 
     def gap_table(self) -> str:
         """Demo, TestAll and the gap of the published methods, and of our methods with all tasks."""
-        header = ("Row", "Class", "Demonstrations", "Earlier looks", "Demo", "TestAll", "Gap")
+        header = ("Row", "Track", "Demonstrations", "Test evaluations", "Demo", "TestAll", "Gap")
         rows = (
             [
                 drop.method + drop.statements.mark,
-                drop.learning_class or "–",
+                drop.track or "–",
                 *_stated(drop.statements),
                 *(interval_text(drop.demo), interval_text(drop.test_all), signed(drop.gap)),
             ]
@@ -307,11 +311,11 @@ def _evaluations(found: Found, leaderboard: bool) -> Found:
 
 
 def _standings(board: Board) -> str:
-    head = ("Rank", "Method", "Class", "Demonstrations", "Earlier looks", "Used")
+    head = ("Rank", "Method", "Track", "Demonstrations", "Test evaluations", "Used")
     header = (*head, "Intervals over", "Demo", "TestAll", "Gap", "Rank by gap")
     rows = [
         [
-            *(row.place, row.label + row.statements.mark, row.learning_class or "–"),
+            *(row.place, row.label + row.statements.mark, row.track or "–"),
             *_stated(row.statements),
             *(", ".join(row.used) or "–", row.unit, interval_text(row.demo, row.unit)),
             interval_text(row.test_all, row.unit) + row.runs_apart,
@@ -324,8 +328,8 @@ def _standings(board: Board) -> str:
 
 
 def _stated(statements: Statements) -> tuple[str, str]:
-    looks = "–" if statements.looks is None else str(statements.looks)
-    return statements.demonstrations or "–", looks
+    number = statements.test_evaluations
+    return statements.demonstrations or "–", "–" if number is None else str(number)
 
 
 def _together_header(pairs: Sequence[tuple[Finding, Finding]]) -> str:

@@ -4,8 +4,7 @@ from collections.abc import Iterator, Sequence
 from operator import attrgetter
 
 from magical.grouping import group_by
-from magical.report.scores.summaries import interval_text
-from magical.report.scores.tables import means_apart, signed
+from magical.report.table import interval_text, means_apart, signed
 from magical.tasks.axes import SHORT_VARIANTS, short_variant
 from studies.plan_results import NOT_RUN
 from studies.published_tables.agreement import Agreement

@@ -83,7 +83,7 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
         ["envs", "--fast"],
         ["--impor", "json", "envs"],
         ["evaluate", "noop", "--roll", "1"],
-        ["evaluate", "noop", "--looks", "0"],
+        ["evaluate", "noop", "--test-evaluations", "0"],
         ["demos", "info", "--jso", "demos"],
         ["report", "runs", "--format", "csv"],
         ["run", "quick", "--gpus", "1"],

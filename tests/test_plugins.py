@@ -20,7 +20,8 @@ from magical.commands._common import task_name
 from magical.envs import parse_env_id
 from magical.envs.vector import MagicalVectorEnv
 from magical.errors import MissingDependencyError, PluginError, UnknownNameError
-from magical.evaluation.loading import LOADERS, load_policy
+from magical.evaluation.loading import GROUP as POLICIES
+from magical.evaluation.loading import load_policy
 from magical.observe import make_spec
 from magical.plugins import Registry
 from magical.runs import versions
@@ -88,7 +89,7 @@ def test_a_broken_plugin_is_named_and_leaves_the_others(
 
 
 def test_a_loader_of_a_distribution_loads_policies(path: Path) -> None:
-    install(path, "other", "lerobot = tool:Loaded", group=LOADERS)
+    install(path, "other", "lerobot = tool:Loaded", group=POLICIES)
     (path / "tool.py").write_text(
         "class Loaded:\n"
         "    def __init__(self, what): self.what = what\n"
@@ -352,7 +353,9 @@ def test_an_algorithm_of_a_distribution_is_resumed_and_listed(installed: Install
     config = json.loads((installed.folder / "run" / "config.json").read_text())
     assert (config["algorithm"], config["smoothing"]) == ("smooth-bc", 0.1)
     # One process computes larger batches, in less than half the time.
-    installed.magical("evaluate run --leaderboard --method Smooth --looks 0 --workers 0 --out run")
+    installed.magical(
+        "evaluate run --leaderboard --method Smooth --test-evaluations 0 --workers 0 --out run"
+    )
     board = installed.magical("leaderboard run").splitlines()
     (row,) = (line for line in board if "Smooth" in line)
     assert row.startswith("not ranked: fewer than 3 runs")

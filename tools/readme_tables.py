@@ -18,10 +18,9 @@ from typing import NamedTuple
 from magical.evaluation import published_table, published_tasks
 from magical.grouping import group_by
 from magical.observe import PRESETS, PixelSpec
-from magical.report.found.search import Found, Result, search_results
-from magical.report.leaderboard.checks import check_entries
-from magical.report.leaderboard.ranking import ALL_TASKS, Standing, make_boards
-from magical.runs.sources import DEMONSTRATIONS, INTERACTION, learning_class
+from magical.report.found import Found, Result, search_results
+from magical.report.leaderboard import ALL_TASKS, Standing, check_entries, make_boards
+from magical.runs.sources import DEMONSTRATIONS, INTERACTION, track_of
 from magical.tasks import TASKS, get_task
 from magical_goals.language.generated import SUITE, task_name
 from magical_goals.language.programs import program_of
@@ -140,7 +139,7 @@ def results() -> str:
     lines: list[Sequence[object]] = [
         (
             row.name,
-            row.standing.learning_class or "–",
+            row.standing.track or "–",
             f"{row.standing.demo.value:.2f}",
             f"{row.standing.test_all.value:.2f}",
             "–" if row.is_reference else row.num_runs,
@@ -156,8 +155,8 @@ def results() -> str:
             for variant in ("Demo", "All")
         )
         made = ", ".join(used), "10 of each task (human)"
-        lines.append((f"{method}, published", learning_class(used) or "–", *means, 5, *made))
-    header = ("Method", "Class", "Demo", "TestAll", "Runs", "Used", "Demonstrations")
+        lines.append((f"{method}, published", track_of(used) or "–", *means, 5, *made))
+    header = ("Method", "Track", "Demo", "TestAll", "Runs", "Used", "Demonstrations")
     groups = group_by(rows, attrgetter("command"))
     commands = (f"{text}  # {'; '.join(r.name for r in made)}" for text, made in groups.items())
     return "\n".join([table(header, lines), "", "```bash", *commands, "```"])

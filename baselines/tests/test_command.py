@@ -17,8 +17,8 @@ from magical.cli import main
 from magical.demos import DatasetWriter, Trajectory
 from magical.envs import EnvId
 from magical.evaluation import read_entry
-from magical.report.found.search import find_results
-from magical.report.leaderboard.checks import faults
+from magical.report.found import find_results
+from magical.report.leaderboard import faults
 from magical.scene import Poses
 from magical.tasks import get_task, register_task, unregister_task
 from magical.tasks.registry import import_tasks

@@ -18,8 +18,8 @@ from magical.cli import main
 from magical.envs.seeds import evaluation_seed
 from magical.errors import MagicalError, PluginError
 from magical.evaluation import Entry, RolloutScore, environments
+from magical.evaluation.entry import record_of
 from magical.evaluation.protocol import Evaluation
-from magical.evaluation.provenance import evaluation_details
 from magical.plugins import import_user_module
 from magical.runs import read_metrics
 from magical.runs.folder import CHECKPOINT, CONFIG, METRICS, RECORD
@@ -164,10 +164,9 @@ def test_no_command_imports_what_a_run_names(
     monkeypatch.syspath_prepend(tmp_path / "site")
     evaluation = Evaluation.of(environments(["MoveToCorner"], ["Demo"]), rollouts=1)
     scores = [RolloutScore(evaluation.env_ids[0], 0, evaluation_seed(0), 0.5, 0.5)]
-    details = evaluation_details(load_policy(folder), str(folder), folder)
-    Entry.of(load_policy(folder), evaluation, method="A", scores=scores, details=details).write(
-        folder
-    )
+    policy = load_policy(folder)
+    record = record_of(policy, str(folder), folder)
+    Entry.of(policy, evaluation, method="A", scores=scores, record=record).write(folder)
     data = json.loads((folder / CONFIG).read_text())
     (folder / CONFIG).write_text(json.dumps({**data, "observation": name}))
     assert main(command.replace("RUN", "run").split()) == 1

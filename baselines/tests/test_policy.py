@@ -18,7 +18,7 @@ from magical.errors import CheckpointError, DivergedError, PolicyError, RunFolde
 from magical.evaluation import Policy, evaluate
 from magical.evaluation.protocol import Evaluation
 from magical.observe import NAMED, PRESETS
-from magical.report.figures.clips import record_rollouts
+from magical.report.figures import record_rollouts
 from magical.runs.folder import CHECKPOINT
 from magical_baselines import NetworkPolicy, is_run, load_policy, train
 from magical_baselines.algorithms.bc import BCConfig

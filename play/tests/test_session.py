@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from magical.demos.replay import replay
 
 from magical.demos import Actor, Dataset, DatasetWriter, Trajectory
+from magical.demos.summary import replay
 from magical.envs import EnvId
 from magical.envs.keys import Control, action_of, controls_of
 from magical.errors import DatasetError, PolicyError

@@ -8,9 +8,11 @@ import numpy as np
 
 from magical.envs import EnvId
 from magical.evaluation import Entry
-from magical.evaluation.intervals import FEWEST_RUNS, Floats, Interval
 from magical.evaluation.scores import RolloutScore
 from magical.evaluation.statistics import (
+    FEWEST_RUNS,
+    Floats,
+    Interval,
     difference,
     gap_weights,
     generalisation_gap,
@@ -19,10 +21,8 @@ from magical.evaluation.statistics import (
     run_means,
 )
 from magical.grouping import group_by
-from magical.report.found.search import search_results
-from magical.report.found.statements import marked
-from magical.report.scores.summaries import interval_text, over
-from magical.report.scores.tables import signed
+from magical.report.found import search_results
+from magical.report.table import interval_text, marked, over, signed
 from magical.tasks.axes import SHORT_VARIANTS, full_variant
 from studies.plan_results import LEADERBOARD, NOTHING, PlanResults
 from studies.tables import task_names

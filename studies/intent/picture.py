@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from magical.errors import UnknownNameError
-from magical.files.atomic import write_atomically
+from magical.files import write_atomically
 from magical.render import render_frame
 from magical.scene import Poses
 from magical.tasks import get_task

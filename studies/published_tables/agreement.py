@@ -4,8 +4,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from magical.evaluation.intervals import Interval, weighted_sum
-from magical.evaluation.statistics import mean
+from magical.evaluation.statistics import Interval, mean, weighted_sum
 from studies.published_tables.claims import DEMO, PARTS
 from studies.published_tables.rows import MethodRuns, reproduced_row
 from studies.published_tables.scale import published_contrast

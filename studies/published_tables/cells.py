@@ -4,9 +4,8 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from magical.evaluation.intervals import Floats
 from magical.evaluation.published import PUBLISHED_RUNS, published_table
-from magical.evaluation.statistics import Spread
+from magical.evaluation.statistics import Floats, Spread
 from magical.tasks.axes import short_variant
 from studies.published_tables.rows import MethodRuns
 from studies.published_tables.scale import pooled_std

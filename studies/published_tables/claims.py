@@ -5,9 +5,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from magical.envs import EnvId
-from magical.evaluation.intervals import CONFIDENCE, Interval
 from magical.evaluation.published import published_table
-from magical.evaluation.statistics import ROUNDING, contrast, mean
+from magical.evaluation.statistics import CONFIDENCE, ROUNDING, Interval, contrast, mean
 from magical.tasks.axes import short_variant
 from studies.published_tables.rows import CODE, MethodRuns, reproduced_row
 from studies.published_tables.scale import published_contrast

@@ -7,9 +7,8 @@ from typing import NamedTuple
 
 from magical.envs import EnvId
 from magical.evaluation import published_table, published_tasks
-from magical.evaluation.intervals import Interval
-from magical.evaluation.statistics import generalisation_gap, mean
-from magical.report.found.statements import Statements
+from magical.evaluation.statistics import Interval, generalisation_gap, mean
+from magical.report.table import Statements
 from magical.tasks.axes import short_variant
 from studies.published_tables.rows import MethodRuns
 
@@ -22,7 +21,7 @@ class Drop(NamedTuple):
 
     Attributes:
         method: the method's name.
-        learning_class: `P`, `R` or `X`, or empty.
+        track: `P`, `R` or `X`, or empty.
         statements: whose demonstrations, and how often test variants were evaluated before.
         demo: mean over tasks.
         test_all: mean over tasks.
@@ -30,7 +29,7 @@ class Drop(NamedTuple):
     """
 
     method: str
-    learning_class: str
+    track: str
     statements: Statements
     demo: Interval
     test_all: Interval
@@ -49,7 +48,7 @@ def _drop(row: MethodRuns, env_ids: list[EnvId]) -> Drop:
     demo, test_all = ([i for i in env_ids if i.variant == variant] for variant in VARIANTS)
     return Drop(
         row.method,
-        row.learning_class,
+        row.track,
         row.statements,
         mean(row.on(demo)),
         mean(row.on(test_all)),
@@ -65,6 +64,6 @@ def _published(method: str) -> Drop:
         for variant in VARIANTS
     )
     means = (Interval(value, math.nan, math.nan) for value in (demo, test_all, demo - test_all))
-    learning_class = "P" if method.startswith("BC") else ""
+    track = "P" if method.startswith("BC") else ""
     statements = Statements("10 of each task (humans)")
-    return Drop(f"{method}, published", learning_class, statements, *means)
+    return Drop(f"{method}, published", track, statements, *means)

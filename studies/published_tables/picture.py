@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from magical.files import write_atomically
-from magical.report.figures.plots import new_figure, plotting
+from magical.report.figures import new_figure, plotting
 from magical.tasks.axes import SHORT_VARIANTS
 from studies.published_tables.cells import LIMITS, ComparedCell, distance_text
 from studies.published_tables.rows import CODE

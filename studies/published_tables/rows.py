@@ -7,26 +7,20 @@ import numpy as np
 
 from magical.envs import EnvId
 from magical.evaluation import environments, published_methods
-from magical.evaluation.intervals import Floats
-from magical.evaluation.statistics import by_environment, run_means
-from magical.report.found.search import Found, Result, same_run
-from magical.report.found.statements import (
-    UNSTATED,
+from magical.evaluation.statistics import Floats, by_environment, run_means
+from magical.report.found import Found, Result, same_run
+from magical.report.leaderboard import Rejected, incompleteness, mismatch
+from magical.report.table import (
+    PUBLISHED_RULE,
     Statements,
     gather_statements,
+    is_comparable,
     marks,
-    stated_looks,
 )
-from magical.report.leaderboard.checks import (
-    Rejected,
-    incompleteness,
-    mismatch,
-    misstatements,
-)
-from magical.report.scores.differences import RULE, is_comparable
-from magical.runs.sources import LEARNED_FROM, learning_class
+from magical.runs.sources import track_of
 from magical.tasks import get_task
 
+UNSTATED = Statements()
 CODE = "settings of the published code, network narrow"  # in the names of methods
 
 
@@ -39,7 +33,7 @@ class MethodRuns:
         published: the name of the published row; empty for none.
         env_ids: the columns' environments, in the registry's order.
         means: (runs, environments), each run's mean score; NaN where it was not evaluated.
-        learning_class: `P`, `R` or `X`, or empty (`magical.runs.sources`).
+        track: `P`, `R` or `X`, or empty (`magical.runs.sources`).
         statements: whose demonstrations, and how often test variants were evaluated before.
     """
 
@@ -47,13 +41,13 @@ class MethodRuns:
     published: str
     env_ids: tuple[EnvId, ...]
     means: Floats
-    learning_class: str = ""
+    track: str = ""
     statements: Statements = UNSTATED
 
     @property
     def label(self) -> str:
         """The method's name with its marks."""
-        return self.method + marks(self.statements.looks, self.learning_class)
+        return self.method + marks(self.statements, self.track)
 
     def on(self, env_ids: Sequence[EnvId]) -> Floats:
         """The means in some of the environments, of the runs that have any of them."""
@@ -105,26 +99,26 @@ def make_rows(found: Found) -> tuple[list[MethodRuns], list[Rejected]]:
 def _faults(result: Result) -> list[str]:
     """Why an entry cannot be compared with the published tables."""
     entry, faults = result.entry, []
-    if entry.nudge:
-        faults.append(f"nudge {entry.nudge:g}, expected 0: published scores are of the exact scene")
+    if nudge := entry.evaluated.nudge:
+        faults.append(f"nudge {nudge:g}, expected 0: published scores are of the exact scene")
     for name in result.tasks:
         task = get_task(name)
         if not is_comparable(task, entry):
             steps = task.resolve_horizon("published")
             faults.append(f"{name} with another horizon than {steps} control steps")
-    return [*faults, *incompleteness(entry), *misstatements(entry, stated_looks)]
+    return [*faults, *incompleteness(entry)]
 
 
 def _row(method: str, runs: Sequence[Result]) -> MethodRuns:
     scores = [run.entry.scores for run in runs]
     found = {env_id for run in scores for env_id in by_environment(run)}
     env_ids = tuple(env_id for env_id in environments() if env_id in found)
-    details = [run.entry.details for run in runs]
+    entries = [run.entry for run in runs]
     return MethodRuns(
         method,
         published_row(method),
         env_ids,
-        run_means(scores, env_ids, RULE),
-        learning_class(details[0].get(LEARNED_FROM, ())),
-        gather_statements(details),
+        run_means(scores, env_ids, PUBLISHED_RULE),
+        track_of(entries[0].record.learned_from or ()),
+        gather_statements(entries),
     )

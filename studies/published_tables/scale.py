@@ -6,9 +6,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from magical.evaluation.intervals import CONFIDENCE, Interval, welch_interval
 from magical.evaluation.published import PUBLISHED_RUNS, RESOLUTION, published_table
-from magical.evaluation.statistics import Spread
+from magical.evaluation.statistics import CONFIDENCE, Interval, Spread, welch_interval
 from magical.tasks.axes import full_variant, short_variant
 
 MULTI_TASK = "(MT"  # in the names of methods whose runs learn all tasks

@@ -8,8 +8,10 @@ import pytest
 
 from magical.envs.seeds import evaluation_seed
 from magical.errors import ScoresError
-from magical.evaluation import Entry, RolloutScore, collection, environments
-from magical.evaluation.collection import read_collection, write_collection
+from magical.evaluation import RolloutScore, environments
+from magical.evaluation import entry as entries
+from magical.evaluation.entry import read_collection, write_collection
+from tests.entries import entry_of
 
 ROWS = [
     RolloutScore(env_id, i, evaluation_seed(i), 0.1 + 0.2, 1 / 3)
@@ -17,8 +19,8 @@ ROWS = [
     for i in range(3)
 ]
 ENTRIES = {
-    "runs/b": Entry(method="B", scores=ROWS, nudge=1e-9, details={"looks": 3}),
-    "runs/a/leaderboard": Entry(method="A", scores=ROWS[:3]),
+    "runs/b": entry_of("B", ROWS, nudge=1e-9, record={"test_evaluations": 3}),
+    "runs/a/leaderboard": entry_of("A", ROWS[:3]),
 }
 
 
@@ -60,7 +62,7 @@ def test_damaged_scores_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         with pytest.raises(ScoresError, match=message):
             read_collection(tmp_path)
     rows.write_bytes(whole)
-    assert collection.MAX_ROWS <= 1_000_000
-    monkeypatch.setattr(collection, "MAX_ROWS", 5)
+    assert entries.COLLECTION_ROWS <= 1_000_000
+    monkeypatch.setattr(entries, "COLLECTION_ROWS", 5)
     with pytest.raises(ScoresError, match="expected at most 5 rows"):
         read_collection(tmp_path)

@@ -1,7 +1,6 @@
 """The evaluate command."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -10,7 +9,7 @@ from magical import cli
 from magical.commands.evaluate import print_scores
 from magical.envs import EnvId
 from magical.evaluation import RolloutScore, read_entry
-from magical.report.leaderboard.checks import faults
+from magical.report.leaderboard import faults
 from magical.runs.folder import write_json
 from magical.tasks import unregister_task
 
@@ -96,8 +95,8 @@ def test_out_holds_an_entry(capsys: pytest.CaptureFixture[str], tmp_path: Path) 
     _, out, _ = evaluate(capsys, "random", *argv, *more, "--out", str(tmp_path))
     assert "generalisation gap" not in out  # without a test variant
     entry = read_entry(tmp_path)
-    assert (entry.method, entry.seed, entry.nudge) == ("dice", 3, 1e-9)
-    assert entry.horizon == "appendix"  # whose number of steps was given
+    assert (entry.method, entry.evaluated.seed, entry.evaluated.nudge) == ("dice", 3, 1e-9)
+    assert entry.evaluated.horizon_name == "appendix"  # whose number of steps was given
     assert [row.seed for row in entry.scores] == [1_003_000_000, 1_003_000_001]
     _, _, err = evaluate(capsys, "random", *argv, "--out", str(tmp_path))
     assert f"replaces the scores in {tmp_path}: 2 rollouts in 1 environments, nudge 1e-09" in err
@@ -174,12 +173,12 @@ def test_one_command_writes_an_entry_that_ranks(
 ) -> None:
     (tmp_path / "own.py").write_text(POLICY)
     argv = [f"{tmp_path / 'own.py'}:still", "--task", "MoveToRegion", "--leaderboard"]
-    stated = ["--method", "mine", "--learned-from", "demonstrations", "--looks", "2"]
+    stated = ["--method", "mine", "--learned-from", "demonstrations", "--test-evaluations", "2"]
     status, _, _ = evaluate(capsys, *argv, *stated, "--out", str(tmp_path / "entry"))
     assert status == 0
     entry = read_entry(tmp_path / "entry")
     assert faults(entry) == []
-    assert (entry.method, entry.nudge, entry.details["looks"]) == ("mine", 1e-9, 2)
+    assert (entry.method, entry.evaluated.nudge, entry.record.test_evaluations) == ("mine", 1e-9, 2)
 
 
 def test_a_training_seed_tells_runs_apart(
@@ -189,7 +188,7 @@ def test_a_training_seed_tells_runs_apart(
     argv = [f"{tmp_path / 'own.py'}:still", "--task", "MoveToRegion", "--rollouts", "1"]
     argv += ["--training-seed", "3"]
     assert evaluate(capsys, *argv, "--out", str(tmp_path / "entry"))[0] == 0
-    assert read_entry(tmp_path / "entry").details["training_seed"] == 3
+    assert read_entry(tmp_path / "entry").record.training_seed == 3
     status, _, err = evaluate(capsys, *argv)
     assert (status, "--training-seed needs --out" in err) == (2, True)
 
@@ -201,21 +200,18 @@ def test_what_it_learned_from_is_stated_again_when_an_entry_is_made_again(
     folder = tmp_path / "entry"
     argv = [f"{tmp_path / 'own.py'}:still", "--task", "MoveToRegion", "--out", str(folder)]
     stated = ["--learned-from", "demonstrations"]
-    assert evaluate(capsys, *argv, *stated, "--looks", "3")[0] == 0
+    assert evaluate(capsys, *argv, *stated, "--test-evaluations", "3")[0] == 0
     status, _, err = evaluate(capsys, *argv, "--leaderboard")
-    assert (status, "expected learned_from in the details" in err) == (2, True)
+    assert (status, "expected learned_from in the record" in err) == (2, True)
     assert evaluate(capsys, *argv, "--leaderboard", *stated)[0] == 0
     assert faults(read_entry(folder)) == []
-    assert read_entry(folder).details["looks"] == 3
-    replace(read_entry(folder), details={"looks": "three"}).write(folder)
-    status, _, err = evaluate(capsys, *argv, "--leaderboard", *stated)
-    assert (status, "expected looks in the details to be a whole number" in err) == (2, True)
+    assert read_entry(folder).record.test_evaluations == 3
 
 
 @pytest.mark.parametrize(
     ("argv", "message"),
     [
-        ([], "expected learned_from in the details"),
+        ([], "expected learned_from in the record"),
         (["--learned-from", "magic"], "'magic' is not a source"),
         (["--learned-from", "--rollouts", "3"], "3 rollouts of each environment"),
         (["--learned-from", "--variants", "Demo"], "MoveToRegion without Jitter"),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from magical.evaluation import statistics as stats
-from magical.evaluation.intervals import Floats, Interval, rollout_mean, weighted_sum
+from magical.evaluation.statistics import Floats, Interval, rollout_mean, weighted_sum
 from magical.tasks import TASKS
 
 

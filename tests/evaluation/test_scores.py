@@ -2,7 +2,6 @@
 
 import errno
 import json
-import os
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -11,7 +10,6 @@ import numpy as np
 import pytest
 
 from magical.envs import EnvId
-from magical.envs.action_spec import ActionSpaceName
 from magical.envs.seeds import evaluation_seed
 from magical.errors import ScoresError
 from magical.evaluation import (
@@ -19,6 +17,7 @@ from magical.evaluation import (
     Entry,
     Evaluation,
     FunctionPolicy,
+    Record,
     RolloutScore,
     read_entry,
     read_scores,
@@ -26,7 +25,7 @@ from magical.evaluation import (
     write_scores,
 )
 from magical.evaluation import entry as entries
-from magical.evaluation.expert import ExpertPolicy
+from tests.entries import entry_of
 
 SCORES = [
     RolloutScore(EnvId("MakeLine", "Demo"), 0, 1_000_000_000, 0.5, 0.0),
@@ -82,53 +81,43 @@ def test_damaged_files_are_named(tmp_path: Path, text: str, message: str) -> Non
     assert str(path) in str(caught.value)
 
 
-def test_entries_are_read_back_and_keep_what_their_authors_added(tmp_path: Path) -> None:
-    entry = Entry(
-        method="mine", scores=SCORES, observation="LoRes4E", nudge=1e-9, details={"labels": 10}
-    )
+def test_entries_are_read_back_and_keep_their_notes(tmp_path: Path) -> None:
+    record = {"notes": "by us", "test_evaluations": 2, "learned_from": [], "updates": [1, 2]}
+    entry = entry_of("mine", SCORES, observation="LoRes4E", nudge=1e-9, record=record)
     entry.write(tmp_path)
     assert read_entry(tmp_path) == entry
-    Entry(method="mine", scores=SCORES[:1], details={"note": "again"}).write(tmp_path)
+    entry_of("mine", SCORES[:1], record={"num_demos": 3}).write(tmp_path)
     again = read_entry(tmp_path)
-    assert again.details == {"labels": 10, "note": "again"}
+    assert again.record == Record(notes="by us", test_evaluations=2, num_demos=3)
     assert again.scores == SCORES[:1]
-    trained = {"algorithm": "bc", "num_demos": 2, "pretrained_on": [], "note": "mine"}
-    for stated in (trained, {"algorithm": "ppo"}):  # the run folder holds another run now
-        Entry(method="run", scores=SCORES, details=stated).write(tmp_path)
-    assert read_entry(tmp_path).details == {"algorithm": "ppo", "note": "mine"}
-    for details in ({"policy": "noop", "learned_from": []}, {"policy": "a.py:p"}):
-        Entry(method="another", scores=SCORES, nudge=0, details=details).write(tmp_path)
-    assert read_entry(tmp_path).details == {"policy": "a.py:p"}
-    assert read_entry(tmp_path).nudge == 0.0
+    entry_of("mine", SCORES, record={"policy": "a.py:p"}).write(tmp_path)  # another one
+    assert read_entry(tmp_path).record == Record(policy="a.py:p")
 
 
 @pytest.mark.parametrize(
-    ("earlier", "stated", "expected"),
-    [
-        ({"learned_from": [], "looks": 0}, {}, {}),
-        ({"learned_from": [], "looks": 0}, {"looks": 2}, {"looks": 2}),
-        ({"looks": 20}, {}, {"looks": 20}),
-        ({"looks": 20}, {"looks": 0}, {"looks": 20}),
-        (
-            {"learned_from": ["demonstrations"]},
-            {"learned_from": ["demonstrations", "benchmark prior"]},
-            {"learned_from": ["demonstrations", "benchmark prior"]},
-        ),
-    ],
+    ("earlier", "stated", "expected"), [(20, None, 20), (20, 0, 20), (0, 2, 2), (None, 3, 3)]
 )
 def test_an_earlier_entry_does_not_flatter_a_later_one(
-    tmp_path: Path, earlier: dict[str, Any], stated: dict[str, Any], expected: dict[str, Any]
+    tmp_path: Path, earlier: int | None, stated: int | None, expected: int
 ) -> None:
-    for details in (earlier, stated):
-        Entry(method="mine", scores=SCORES, details=details).write(tmp_path)
-    assert read_entry(tmp_path).details == expected
+    for number in (earlier, stated):
+        entry_of("mine", SCORES, record={"test_evaluations": number}).write(tmp_path)
+    assert read_entry(tmp_path).record.test_evaluations == expected
+
+
+def test_entries_of_earlier_versions_are_read(tmp_path: Path) -> None:
+    entry_of("mine", SCORES).write(tmp_path)
+    details = {"looks": 2, "action_space": "continuous", "learned_from": ["score"]}
+    (tmp_path / "entry.json").write_text(json.dumps({"method": "m", "details": details}))
+    found = read_entry(tmp_path)
+    assert found.evaluated.action_space == "continuous"
+    assert found.record == Record(test_evaluations=2, learned_from=("score",))
 
 
 def test_a_full_disk_leaves_the_previous_entry(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    before = Entry(method="mine", scores=SCORES, nudge=0.0)
-    before.write(tmp_path)
+    entry_of("mine", SCORES).write(tmp_path)
 
     def full(*args: object) -> None:
         raise OSError(errno.ENOSPC, "no space left on device")
@@ -137,22 +126,9 @@ def test_a_full_disk_leaves_the_previous_entry(
         with monkeypatch.context() as patch:
             patch.setattr(entries, where, full)
             with pytest.raises(OSError, match="no space"):
-                Entry(method="mine", scores=SCORES[:1], nudge=0.01).write(tmp_path)
+                entry_of("mine", SCORES[:1], nudge=0.01).write(tmp_path)
         found = read_entry(tmp_path)
-        assert (found.nudge, len(found.scores)) == (0.0, len(SCORES))
-
-
-@pytest.mark.parametrize(
-    "fields",
-    [{"method": "x" * 201}, {"nudge": 5.0}, {"horizon": "soon"}, {"details": {"n": np.int64(3)}}],
-)
-def test_what_could_not_be_read_back_is_not_written(tmp_path: Path, fields: dict[str, Any]) -> None:
-    Entry(method="mine", scores=SCORES).write(tmp_path)
-    with pytest.raises((ValueError, TypeError)):
-        Entry(**{"method": "mine", "scores": SCORES[:1], **fields}).merged(tmp_path)
-    with pytest.raises((ValueError, TypeError)):
-        Entry(**{"method": "mine", "scores": SCORES[:1], **fields}).write(tmp_path)
-    assert read_entry(tmp_path).scores == SCORES
+        assert (found.evaluated.nudge, len(found.scores)) == (0.0, len(SCORES))
 
 
 @pytest.mark.parametrize(
@@ -172,32 +148,21 @@ def test_an_entry_says_what_the_policy_was_shown(
 ) -> None:
     policy = FunctionPolicy(print, SimpleNamespace(**attributes))
     evaluation = Evaluation.of([DEMO], observation=observation)
-    entry = Entry.of(policy, evaluation, method="m", details={})
-    assert (entry.observation, entry.privileged) == expected
-
-
-@pytest.mark.parametrize(
-    ("action_space", "expected"), [("discrete", {}), ("continuous", {"action_space": "continuous"})]
-)
-def test_an_entry_names_other_actions_than_the_discrete_ones(
-    action_space: ActionSpaceName, expected: dict[str, str]
-) -> None:
-    policy = ExpertPolicy(action_space=action_space)
-    entry = Entry.of(policy, Evaluation.of([DEMO]), method="m", details={"authors": "us"})
-    assert entry.details == {"authors": "us", **expected}
+    entry = Entry.of(policy, evaluation, method="m", record=Record())
+    assert (entry.observation, entry.evaluated.privileged) == expected
 
 
 @pytest.mark.parametrize("missing", ["scores.csv", "entry.json"])
 def test_half_an_entry_says_what_is_missing(tmp_path: Path, missing: str) -> None:
-    Entry(method="mine", scores=SCORES).write(tmp_path)
+    entry_of("mine", SCORES).write(tmp_path)
     (tmp_path / missing).unlink()
-    with pytest.raises(ScoresError, match=r"gone: expected a folder, found nothing"):
+    with pytest.raises(ScoresError, match="gone: expected a folder with"):
         read_entry(tmp_path / "gone")
     with pytest.raises(ScoresError, match=f"found no {missing}; `magical evaluate"):
         read_entry(tmp_path)
 
 
-DEEP = '{"method": "x", "details": {"a": ' + "[" * 40 + "]" * 40 + "}}"
+DEEP = '{"method": "x", "record": {"a": ' + "[" * 40 + "]" * 40 + "}}"
 
 
 @pytest.mark.parametrize(
@@ -207,7 +172,7 @@ DEEP = '{"method": "x", "details": {"a": ' + "[" * 40 + "]" * 40 + "}}"
         "[]",
         "{}",
         '{"method": "x", "colour": 1}',
-        '{"method": "x", "details": {"big": 1e999}}',
+        '{"method": "x", "record": {"big": 1e999}}',
         DEEP,
         r'{"method": "\u001b[31mred"}',
         json.dumps({"method": "x" * 201}),
@@ -216,26 +181,16 @@ DEEP = '{"method": "x", "details": {"a": ' + "[" * 40 + "]" * 40 + "}}"
         '{"method": "m", "privileged": "no"}',
         '{"method": "m", "seed": -1}',
         '{"method": "m", "seed": true}',
-        '{"method": "m", "details": []}',
+        '{"method": "m", "record": []}',
         '{"method": "m", "nudge": 5.0}',
     ],
 )
 def test_a_damaged_entry_is_named(tmp_path: Path, text: str) -> None:
-    Entry(method="mine", scores=SCORES).write(tmp_path)
+    entry_of("mine", SCORES).write(tmp_path)
     (tmp_path / "entry.json").write_text(text)
     with pytest.raises(ScoresError, match=r"entry\.json.*expected") as caught:
         read_entry(tmp_path)
     assert str(caught.value).isprintable()
-
-
-@pytest.mark.posix
-@pytest.mark.parametrize("name", ["scores.csv", "entry.json"])
-def test_special_files_are_refused(tmp_path: Path, name: str) -> None:
-    Entry(method="mine", scores=SCORES).write(tmp_path)
-    (tmp_path / name).unlink()
-    os.mkfifo(tmp_path / name)
-    with pytest.raises(ScoresError, match=rf"{name}: expected a readable file, found not a reg"):
-        read_entry(tmp_path)
 
 
 def test_a_line_without_end_is_not_read_to_its_end(tmp_path: Path) -> None:
@@ -254,7 +209,7 @@ def test_an_entry_has_as_many_rows_as_the_protocol_can_need(tmp_path: Path) -> N
         read_scores(path)
     evaluation = Evaluation.of([DEMO], rollouts=60_001)
     with pytest.raises(ScoresError, match="expected at most 60000 rollouts in an entry"):
-        Entry.of(BUILT_IN["noop"](), evaluation, method="mine", details={})
+        Entry.of(BUILT_IN["noop"](), evaluation, method="mine", record=Record())
 
 
 def rows(env_id: EnvId, numbers: list[int], seed: int = 0) -> list[RolloutScore]:
@@ -278,15 +233,15 @@ LINE, DUPE = EnvId("MakeLine", "Demo"), EnvId("FindDupe", "Demo")
 def test_an_entry_that_breaks_the_protocol_is_refused(
     tmp_path: Path, scores: list[RolloutScore], seed: int, message: str
 ) -> None:
-    Entry(method="mine", scores=scores, seed=seed).write(tmp_path)
+    entry_of("mine", scores, seed=seed).write(tmp_path)
     with pytest.raises(ScoresError, match=message) as caught:
         read_entry(tmp_path)
-    assert str(tmp_path / "scores.csv") in str(caught.value)
+    assert str(tmp_path) in str(caught.value)
 
 
 def test_a_seeded_fuzz_of_entries_raises_nothing_else(tmp_path: Path) -> None:
     """Mutated files are read, or refused with `ScoresError`."""
-    Entry(method="mine", scores=SCORES).write(tmp_path)
+    entry_of("mine", SCORES).write(tmp_path)
     whole = {name: (tmp_path / name).read_bytes() for name in ("scores.csv", "entry.json")}
     rng = np.random.default_rng(0)
     refused = 0

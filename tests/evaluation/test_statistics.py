@@ -10,7 +10,7 @@ from magical.envs import EnvId
 from magical.errors import UnknownNameError
 from magical.evaluation import RolloutScore
 from magical.evaluation import statistics as stats
-from magical.evaluation.intervals import Interval, rollout_mean
+from magical.evaluation.statistics import Interval, rollout_mean
 
 NAN = math.nan
 T2, T3, T4 = 4.302653, 3.182446, 2.776445  # 97.5% quantiles of Student's t

@@ -13,7 +13,6 @@ from collections import Counter
 from dataclasses import replace
 
 import numpy as np
-from magical.demos.human.recovery.edges import EdgeFinder
 from numpy.typing import NDArray
 
 from magical.errors import MagicalError
@@ -68,12 +67,6 @@ def plain(scene: Scene, bodies: Bodies, rng: np.random.Generator) -> None:
     renderer = Renderer(scene, view, size, int(rng.choice(SAMPLES)), bool(rng.integers(2)))
     renderer.render(bodies, np.zeros((size, size, 3), np.uint8))
     renderer.render_stacked(bodies, np.zeros((size, size, channels), np.uint8))
-
-
-def searched(scene: Scene, bodies: Bodies, rng: np.random.Generator) -> None:
-    view, frame = View(rng.choice(list(View))), np.zeros((384, 384, 3), np.uint8)
-    finder, wanted = EdgeFinder(scene, view), np.ones(len(bodies), np.bool_)
-    finder.find(bodies, finder.label(frame), float(rng.uniform(0.1, 20.0)), wanted)
 
 
 def outcome(number: int) -> str:

@@ -10,6 +10,7 @@ from magical.envs import EnvId
 from magical.envs.seeds import evaluation_seed
 from magical.evaluation import Entry, RolloutScore
 from magical.runs.folder import write_json
+from tests.entries import entry_of
 
 WriteEntry = Callable[..., Path]
 
@@ -21,7 +22,7 @@ def make_entry(method: str, scores: Mapping[str, Sequence[float]], **fields: Any
         for env, values in scores.items()
         for i, score in enumerate(values)
     ]
-    return Entry(method=method, scores=rows, **fields)
+    return entry_of(method, rows, **fields)
 
 
 @pytest.fixture

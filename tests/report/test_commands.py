@@ -25,7 +25,7 @@ def test_clips_of_nothing_are_an_error(
     assert cli.main([*argv, str(tmp_path / "page.csv")]) == 2
     assert "--clips needs a page" in capsys.readouterr().err
     policy = {"policy": "noop"}
-    folder = write_entry("b", "noop", {"MoveToRegion-Demo": [0.0]}, details=policy)
+    folder = write_entry("b", "noop", {"MoveToRegion-Demo": [0.0]}, record=policy)
     assert cli.main(["report", str(folder), "--clips", "2", "--out", str(page)]) == 0
 
 

@@ -47,7 +47,7 @@ def test_metrics_after_the_checkpoint_are_dropped(tmp_path: Path) -> None:
     ("line", "found"),
     [
         (b"{half", "expected JSON, found something else"),
-        (b"[]", "expected object, found []"),
+        (b"[]", "expected object, found array"),
         (b'{"loss": 1}', "expected a step, found {'loss': 1}"),
         (b'{"step": "1"}', "expected a step, found {'step': '1'}"),
         (b'{"step": 1, "loss": "\xff"}', "expected JSON, found something else"),

@@ -1,8 +1,8 @@
-"""What entries learned from, and the class that follows."""
+"""What entries learned from, and the track that follows."""
 
 import pytest
 
-from magical.runs.sources import CLASSES, SOURCES, learned_from, learning_class
+from magical.runs.sources import track_of
 
 
 @pytest.mark.parametrize(
@@ -24,16 +24,5 @@ from magical.runs.sources import CLASSES, SOURCES, learned_from, learning_class
         ([], ""),
     ],
 )
-def test_the_class_follows_from_what_was_used(used: list[str], expected: str) -> None:
-    assert learning_class(used) == expected
-
-
-def test_classes_are_of_known_sources() -> None:
-    assert set(CLASSES.values()) <= set(SOURCES)
-
-
-def test_what_was_used_is_in_one_order() -> None:
-    details = {"learned_from": ["simulator", "demonstrations"]}
-    assert learned_from(details) == ("demonstrations", "simulator")
-    with pytest.raises(ValueError, match="rendered states, simulator, interaction"):
-        learned_from({"learned_from": ["pictures"]})
+def test_the_track_follows_from_what_was_used(used: list[str], expected: str) -> None:
+    assert track_of(used) == expected

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from magical.evaluation import environments
-from magical.evaluation.intervals import Interval
+from magical.evaluation.statistics import Interval
 from studies.published_tables.claims import (
     CLAIMS,
     DEMO,

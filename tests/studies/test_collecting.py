@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -10,9 +11,8 @@ import pytest
 
 from baselines.tests.experiments.conftest import Planned
 from magical.evaluation import Entry, Evaluation, environments, read_entry
-from magical.evaluation.collection import write_collection
-from magical.evaluation.entry import ENTRY_FILE, SCORES_FILE
-from magical.report.found.search import search_results
+from magical.evaluation.entry import ENTRY_FILE, SCORES_FILE, write_collection
+from magical.report.found import search_results
 from magical.report.leaderboard import make_leaderboard
 from magical_baselines.experiments.plan import planned_runs
 from studies import collect as collect_results
@@ -69,28 +69,29 @@ def test_scores_are_collected_and_weights_are_not(
     assert all(run["seconds"]["training"] > 0 for run in found["runs"].values())
 
 
-def test_looks_are_stated_in_the_entries_and_stay(
+def test_test_evaluations_are_stated_in_the_entries_and_stay(
     copied: Path, tiny: Path, out: Path, planned: Planned, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(collect_results, "Evaluation", partial(Evaluation, rollouts=1))
-    list(collect_results.collect([copied], out, tiny, leaderboard=True, looks=3))
+    list(collect_results.collect([copied], out, tiny, leaderboard=True, test_evaluations=3))
     for run in planned():
         entry = entries(out)[f"runs/{run.folder}"]
-        assert entry.details.pop("looks") == 3
-        assert entry == read_entry(copied / "runs" / run.folder)
-        assert entries(out)[f"runs/{run.folder}/leaderboard"].details["looks"] == 3
+        assert entry.record.test_evaluations == 3
+        record = replace(entry.record, test_evaluations=None)
+        assert replace(entry, record=record) == read_entry(copied / "runs" / run.folder)
+        assert entries(out)[f"runs/{run.folder}/leaderboard"].record.test_evaluations == 3
     before = files(out)
-    assert list(collect_results.collect([copied], out, tiny, looks=9)) == []
+    assert list(collect_results.collect([copied], out, tiny, test_evaluations=9)) == []
     assert files(out) == before
     with pytest.raises(SystemExit) as stopped:
-        collect_results.main([str(copied), "--out", str(out), "--looks", "-1"])
+        collect_results.main([str(copied), "--out", str(out), "--test-evaluations", "-1"])
     assert stopped.value.code == 2
 
 
 def test_runs_of_several_commits_are_named(copied: Path, tiny: Path, out: Path) -> None:
     for number, path in enumerate(sorted(copied.glob(f"runs/*/{ENTRY_FILE}"))):
         entry = json.loads(path.read_text())
-        entry["details"]["commit"] = f"{number}bcdef0123"
+        entry["record"]["commit"] = f"{number}bcdef0123"
         path.write_text(json.dumps(entry))
     (note,) = collect(copied, out, tiny)
     assert note == "note: runs of several commits: 1 of 0bcdef0, 1 of 1bcdef0"
@@ -105,7 +106,6 @@ def test_reports_and_the_leaderboard_read_it(
     write_collection(out, kept)
     found = search_results([out])
     assert [entry.method for entry in found.entries] == ["BC tiny"]
-    assert [(run.seed, why) for run, why in found.planned or ()] == [(1, "not run")]
     (rejected,) = make_leaderboard([out]).rejected
     assert any("without Jitter" in reason for reason in rejected.reasons)
 
@@ -140,8 +140,8 @@ def test_the_leaderboards_evaluation_is_made_once_and_collected(
     assert collect(copied, out, tiny)  # first without
     list(collect_results.collect([copied], out, tiny, leaderboard=True))
     entry = entries(out)[f"runs/{planned_run.folder}/leaderboard"]
-    assert (entry.method, entry.nudge, entry.horizon) == ("BC tiny", 1e-9, "appendix")
-    assert entry.details["policy"] == ".."
+    assert (entry.method, entry.evaluated.nudge) == ("BC tiny", 1e-9)
+    assert entry.record.policy == ".."
     assert len(entry.scores) == 2 * len(environments(["MoveToRegion"]))
     assert len(read_methods([out])["BC tiny"]) == 1  # of the run, not of both evaluations
     monkeypatch.setattr(collect_results, "evaluate_run", None)

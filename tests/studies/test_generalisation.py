@@ -7,7 +7,7 @@ import pytest
 
 from magical import __version__
 from magical.evaluation import environments, published_tasks
-from magical.report.found.search import search_results
+from magical.report.found import search_results
 from studies.published_tables.generalisation import find_drops
 from studies.published_tables.rows import make_rows
 from tests.report.conftest import WriteEntry
@@ -33,17 +33,17 @@ def write_run(
         seed=seed,
         version=__version__,
         horizon="published",
-        details={
+        record={
             "learned_from": ["demonstrations", "object parser"],
             "demonstrations": "3 of each task (dataset)",
-            "looks": 2,
+            "test_evaluations": 2,
         },
     )
 
 
 def test_published_means_are_the_papers() -> None:
     bc, gail = find_drops([])
-    assert (bc.method, bc.learning_class, gail.learning_class) == ("BC (ST), published", "P", "")
+    assert (bc.method, bc.track, gail.track) == ("BC (ST), published", "P", "")
     assert [bc.demo.value, bc.test_all.value] == pytest.approx([0.64, 0.19], abs=0.005)
     assert gail.gap.value == pytest.approx(0.53, abs=0.005)
     assert math.isnan(bc.gap.low)
@@ -57,7 +57,7 @@ def test_a_row_with_all_tasks_by_hand(tmp_path: Path, write_entry: WriteEntry) -
     rows, rejected = make_rows(search_results([tmp_path]))
     _, _, drop = find_drops(rows)
     assert rejected == []
-    assert (drop.method, drop.learning_class) == ("mine", "P")
+    assert (drop.method, drop.track) == ("mine", "P")
     assert drop.statements == ("3 of each task (dataset)", 2)
     assert drop.demo.value == pytest.approx(0.45)
     assert drop.test_all.value == pytest.approx(0.175)

@@ -6,6 +6,7 @@ import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,11 +15,12 @@ from PIL import Image
 from magical import __version__
 from magical.envs.seeds import evaluation_seed
 from magical.evaluation import Entry, RolloutScore, environments
-from magical.evaluation.collection import write_collection
+from magical.evaluation.entry import write_collection
 from studies import pages
 from studies.collect import Collected
 from studies.plan_results import PLANS
 from studies.published_tables.picture import write_picture
+from tests.entries import entry_of
 
 pytest.importorskip("matplotlib", reason="the report extra is not installed")
 
@@ -34,10 +36,7 @@ def repository(tmp_path: Path, root: Path, monkeypatch: pytest.MonkeyPatch) -> P
 
 def write_run(repository: Path, plan: str, method: str, task: str, seed: int, score: float) -> Path:
     """An entry of a plan's run as collected, with the same score everywhere."""
-    details = {"training_seed": seed}
-    entry = Entry(
-        method=method, scores=rows_of([task], score), version=__version__, details=details
-    )
+    entry = entry_of(method, rows_of([task], score), record={"training_seed": seed})
     (path,) = repository.glob(f"studies/*/plans/{plan}.toml")
     results = path.parents[1] / "results" / plan
     name = f"{task}-seed{seed}"
@@ -147,11 +146,12 @@ def test_the_object_centred_learner_has_a_baseline_from_the_same_demonstrations(
     ]
 
 
-def test_every_table_of_methods_marks_looks_and_class(repository: Path) -> None:
-    details = {"learned_from": ["demonstrations", "benchmark prior"], "looks": 20}
+def test_every_table_of_methods_marks_test_evaluations_and_track(repository: Path) -> None:
+    stated: dict[str, Any] = {"test_evaluations": 20}
+    stated["learned_from"] = ("demonstrations", "benchmark prior")
 
     def state(key: str, entries: dict[str, Entry]) -> None:
-        entries[key] = replace(entries[key], details={**entries[key].details, **details})
+        entries[key] = replace(entries[key], record=replace(entries[key].record, **stated))
 
     hundred = "BC (ST), 100 perturbed experts"
     for plan, method in (
@@ -207,22 +207,17 @@ def test_entries_that_do_not_count_are_listed_by_reason(repository: Path) -> Non
 
 def write_leaderboard_entry(folder: Path, score: float) -> None:
     """The leaderboard's evaluation of a run on all tasks."""
-    details = {
+    record = {
         "training_seed": 0,
         "learned_from": ["demonstrations"],
         "demonstrations": "10 of each task (dataset)",
-        "looks": 3,
+        "test_evaluations": 3,
     }
 
     def add(key: str, entries: dict[str, Entry]) -> None:
-        entries[f"{key}/leaderboard"] = Entry(
-            method=entries[key].method,
-            scores=rows_of(None, score),
-            observation="LoRes4E",
-            version=__version__,
-            nudge=1e-9,
-            details=details,
-        )
+        how = {"observation": "LoRes4E", "nudge": 1e-9}
+        scores = rows_of(None, score)
+        entries[f"{key}/leaderboard"] = entry_of(entries[key].method, scores, record=record, **how)
 
     change_entries(folder, add)
 

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from magical import __version__
 from magical.envs.seeds import evaluation_seed
-from magical.evaluation import Entry, RolloutScore, environments
-from magical.report.found.search import Found, Result
+from magical.evaluation import RolloutScore, environments
+from magical.report.found import Found, Result
+from tests.entries import entry_of
 from tools import readme_tables
 
 CLONING = "BC (MT)"
@@ -25,14 +25,13 @@ def run(seed: int, score: float, by_protocol: bool, method: str = CLONING) -> Re
         for env_id in environments()
         for i in range(100 if by_protocol else 1)
     ]
-    entry = Entry(
-        method=method,
-        scores=scores,
+    entry = entry_of(
+        method,
+        scores,
         observation="LoRes4E",
-        version=__version__,
         horizon="appendix" if by_protocol else "published",
         nudge=1e-9 if by_protocol else 0.0,
-        details={"training_seed": seed, "learned_from": ["demonstrations"]},
+        record={"training_seed": seed, "learned_from": ["demonstrations"]},
     )
     plan = readme_tables.ROOT / "studies/published_tables/results/bc-multi-human"
     folder = Path("leaderboard") if by_protocol else Path()
@@ -71,6 +70,6 @@ def test_a_row_has_its_class_and_the_command_of_its_plan() -> None:
     (row,) = readme_tables.result_rows(
         Found([run(seed, seed / 10, by_protocol=True) for seed in range(3)])
     )
-    assert row.standing.learning_class == "P"
+    assert row.standing.track == "P"
     plan = "studies/published_tables/plans/bc-multi-human.toml"
     assert row.command == f"magical run {plan} --demos human"

@@ -5,12 +5,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from magical.render import render_frame
-from magical.report.figures.clips import encoded
 from magical.scene import Poses, View
 from magical.tasks import Task, get_task
 from magical_goals.language.generated import HELD_OUT, TRAINING
 from magical_goals.language.programs import program_of
 from tools.readme_tables import table
+from tools.site.previews import encoded
 
 FOLDER = "suite"
 EXPERT = Path("studies/generated_tasks/expert.csv")

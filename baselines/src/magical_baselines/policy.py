@@ -12,7 +12,6 @@ from torch import Tensor, nn
 
 from magical.envs import parse_env_id
 from magical.errors import DivergedError, ObservationError, PolicyError
-from magical.evaluation.entry import THREADS
 from magical.evaluation.policy import Actions, Mask
 from magical.observe import ObservationSpec
 from magical.runs.folder import CHECKPOINT, RECORD, read_json
@@ -73,7 +72,7 @@ class TrainedPolicy:
     @property
     def record(self) -> dict[str, Any]:
         """What entries state: algorithm, seed, what was learned from, CPU threads."""
-        return {**self.config.training_details, THREADS: torch.get_num_threads()}
+        return {**self.config.training_details, "threads": torch.get_num_threads()}
 
     def using_threads(self, number: int) -> AbstractContextManager[None]:
         """A context in which the network uses this number of CPU threads."""

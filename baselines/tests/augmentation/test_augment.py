@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from magical.errors import InvalidConfigError, UnknownNameError
+from magical_baselines.algorithms.bc import BCConfig
 from magical_baselines.augmentation.augment import (
     NOISE_STD,
     augment,
@@ -19,7 +20,6 @@ from magical_baselines.augmentation.augment import (
     warp,
 )
 from magical_baselines.augmentation.names import NAMES, SETS, Augmentations, parse_augmentations
-from magical_baselines.config import NetworkSettings
 
 NONE = SETS["none"]
 
@@ -53,7 +53,11 @@ def test_names_sets_and_combinations() -> None:
     assert parse_augmentations("none") == Augmentations(False, False, False, False)
     assert parse_augmentations("noise+rotation") == Augmentations(True, False, True, False)
     for name in NAMES:
-        found = asdict(NetworkSettings(conventions="published").augmentations(name))
+        found = asdict(
+            BCConfig(tasks=("MoveToRegion",), demos="d", conventions="published").augmentations(
+                name
+            )
+        )
         assert (found["borders"], found["linear_light"]) == ("repeat", False)
         assert {n: found[n] for n in NAMES} == {n: n == name for n in NAMES}
     with pytest.raises(UnknownNameError, match=r"'blur'.*no-trans-rot.*noise, translation"):

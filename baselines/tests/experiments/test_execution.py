@@ -13,9 +13,9 @@ from typing import Any
 import pytest
 import torch
 from filelock import FileLock
-from magical_baselines.running import training
 
 import magical
+import magical_baselines.training as training
 from baselines.tests.experiments.conftest import Inline, Planned, execute, scores_of
 from magical.cli import main
 from magical.errors import PlacementError, ResultsError, WorkerDiedError

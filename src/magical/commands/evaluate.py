@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -36,8 +36,7 @@ from magical.runs.sources import parse_source
 from magical.tasks import parse_horizon
 
 if TYPE_CHECKING:
-    from magical.evaluation import Entry, Policy, RolloutScore
-    from magical.evaluation.protocol import Evaluation
+    from magical.evaluation import Policy, Record, RolloutScore
 
 HELP = "score a policy on the test variants"
 
@@ -90,14 +89,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "needed for run folders, which record it",
     )
     add_count(parser, "--training-seed", "the training run's seed; run folders record it", least=0)
-    add_count(parser, "--looks", "how often test variants were evaluated before", least=0)
+    meaning = "how often test variants were evaluated while the method was designed"
+    add_count(parser, "--test-evaluations", meaning, least=0)
     add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Evaluate, print, write."""
     from magical.evaluation import Entry, environments, load_policy, summarise
-    from magical.evaluation.entry import POLICY
     from magical.evaluation.protocol import NUDGE, Evaluation
     from magical.evaluation.rollouts import roll_out
     from magical.processes import checked_workers
@@ -114,19 +113,22 @@ def run(args: argparse.Namespace) -> int:
         horizon=args.horizon,
         nudge=nudge if args.nudge is None else args.nudge,
     )
-    method = Path(args.policy).absolute().name if args.method is None else args.method  # also "."
     if args.out:
-        details = _details(args, policy)
-        entry = Entry.of(policy, evaluation, method=method, details=details).merged(args.out)
-    if args.leaderboard and (why := _why_unranked(entry, evaluation)):
-        raise UsageError(f"--leaderboard: the entry would not be ranked: {'; '.join(why)}")
-    if args.out:
-        _prepare_folder(args, entry.details[POLICY])
-    unfinished = _unfinished(policy)
-    if unfinished:
+        method = args.method
+        if method is None:
+            method = Path(args.policy).absolute().name  # also of "."
+        entry = Entry.of(policy, evaluation, method=method, record=_record(args, policy))
+        if args.leaderboard:
+            from magical.report.leaderboard import faults
+
+            if why := faults(entry):
+                raise UsageError(f"--leaderboard: the entry would not be ranked: {'; '.join(why)}")
+        _prepare_folder(args, entry.record.policy)
+    done, planned = getattr(policy, "updates", None) or (0, 0)
+    if done < planned:
         log(
-            f"warning: {args.policy}: training is unfinished: {unfinished['done']} of "
-            f"{unfinished['planned']} updates are done; magical train with --resume continues it"
+            f"warning: {args.policy}: training is unfinished: {done} of {planned} updates are "
+            "done; magical train with --resume continues it"
         )
     with ProgressBar("rollouts", len(evaluation.env_ids) * args.rollouts) as bar:
         workers = checked_workers(args.workers)
@@ -135,14 +137,41 @@ def run(args: argparse.Namespace) -> int:
     if args.out:
         replace(entry, scores=scores).write(args.out)
         log(f"wrote scores.csv and entry.json to {args.out}")
-    print_json(args, summarise(scores) | ({"unfinished": unfinished} if unfinished else {}))
+    unfinished = {"unfinished": {"done": done, "planned": planned}} if done < planned else {}
+    print_json(args, summarise(scores) | unfinished)
     return 0
 
 
-def _unfinished(policy: "Policy") -> dict[str, int]:
-    """The updates that are done and planned; empty unless the policy's training is unfinished."""
-    done, planned = getattr(policy, "updates", None) or (0, 0)
-    return {"done": done, "planned": planned} if done < planned else {}
+def _check_options(args: argparse.Namespace, policy: "Policy") -> None:
+    own = getattr(policy, "observation", None)
+    if args.observation and own not in (None, args.observation):
+        raise UsageError(
+            f"--observation {args.observation}: the policy states its own observation, {own}"
+        )
+    options = ("leaderboard", "method", "learned_from", "training_seed", "test_evaluations")
+    for option in options:
+        value = getattr(args, option)
+        if not args.out and value is not None and value is not False:
+            raise UsageError(f"--{option.replace('_', '-')} needs --out, which writes the entry")
+
+
+def _record(args: argparse.Namespace, policy: "Policy") -> "Record":
+    """What the entry states about the policy: what it records, and the options."""
+    from magical.evaluation.entry import record_of
+
+    recorded, seed = record_of(policy, args.policy, args.out), args.training_seed
+    if seed is not None and recorded.training_seed not in (None, seed):
+        raise UsageError(
+            f"--training-seed {seed}: {args.policy} records {recorded.training_seed}; leave the "
+            "option out"
+        )
+    sources = args.learned_from
+    stated = {
+        "learned_from": None if sources is None else tuple(sources),
+        "training_seed": seed,
+        "test_evaluations": args.test_evaluations,
+    }
+    return replace(recorded, **{name: value for name, value in stated.items() if value is not None})
 
 
 def _prepare_folder(args: argparse.Namespace, policy: str) -> None:
@@ -151,18 +180,16 @@ def _prepare_folder(args: argparse.Namespace, policy: str) -> None:
     Another policy's scores are not replaced, and a run folder gets only those of its own policy.
     """
     from magical.evaluation import read_entry
-    from magical.evaluation.entry import POLICY
     from magical.files import make_folder
     from magical.runs import is_run
 
     owner, replaced = policy, ""
     with suppress(MagicalError, OSError):
         old = read_entry(args.out)
-        owner = old.details.get(POLICY, policy)
-        env_ids = {row.env_id for row in old.scores}
+        owner = old.record.policy or policy
         replaced = (
-            f"replaces the scores in {args.out}: {len(old.scores)} rollouts in {len(env_ids)} "
-            f"environments, nudge {old.nudge:g}"
+            f"replaces the scores in {args.out}: {len(old.scores)} rollouts in "
+            f"{len(old.evaluated.env_ids)} environments, nudge {old.evaluated.nudge:g}"
         )
     if is_run(args.out) and args.out.resolve() != Path(args.policy).resolve():
         owner = "the run in it"
@@ -173,51 +200,10 @@ def _prepare_folder(args: argparse.Namespace, policy: str) -> None:
         log(replaced)
 
 
-def _check_options(args: argparse.Namespace, policy: "Policy") -> None:
-    own = getattr(policy, "observation", None)
-    if args.observation and own not in (None, args.observation):
-        raise UsageError(
-            f"--observation {args.observation}: the policy states its own observation, {own}"
-        )
-    for option in ("leaderboard", "method", "learned_from", "training_seed", "looks"):
-        value = getattr(args, option)
-        if not args.out and value is not None and value is not False:
-            raise UsageError(f"--{option.replace('_', '-')} needs --out, which writes the entry")
-
-
-def _details(args: argparse.Namespace, policy: "Policy") -> dict[str, Any]:
-    """What the entry records in addition to the evaluation."""
-    from magical.evaluation.entry import TRAINING_SEED
-    from magical.evaluation.provenance import evaluation_details
-    from magical.report.found.statements import LOOKS
-    from magical.runs.sources import LEARNED_FROM
-
-    seed = args.training_seed
-    stated = {LEARNED_FROM: args.learned_from, TRAINING_SEED: seed, LOOKS: args.looks}
-    given = {name: value for name, value in stated.items() if value is not None}
-    recorded = evaluation_details(policy, args.policy, args.out)
-    if seed is not None and (trained := recorded.get(TRAINING_SEED, seed)) != seed:
-        raise UsageError(
-            f"--training-seed {seed}: {args.policy} records {trained}; leave the option out"
-        )
-    return {**recorded, **given}
-
-
-def _why_unranked(entry: "Entry", evaluation: "Evaluation") -> list[str]:
-    """Why the leaderboard would not rank an entry with the scores of this evaluation."""
-    from magical.evaluation import RolloutScore
-    from magical.report.leaderboard.checks import faults
-
-    last = evaluation.rollouts - 1
-    expected = [RolloutScore(env_id, last, 0, 0.0, 0.0) for env_id in evaluation.env_ids]
-    return faults(replace(entry, scores=expected))
-
-
 def print_scores(scores: "Sequence[RolloutScore]") -> None:
     """Print a row for each environment, then the generalisation gap over all tasks."""
     from magical.evaluation import by_variant
-    from magical.evaluation.intervals import rollout_mean
-    from magical.evaluation.statistics import gap_weights, over_rollouts
+    from magical.evaluation.statistics import gap_weights, over_rollouts, rollout_mean
 
     header = ("task", "variant", "mean", "95% interval", "std", "gap", "published code's rule")
     rows = []

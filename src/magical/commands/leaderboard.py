@@ -21,7 +21,7 @@ from magical.commands._common import (
 from magical.messages import for_terminal
 
 if TYPE_CHECKING:
-    from magical.report.leaderboard.ranking import Standing
+    from magical.report.leaderboard import Standing
 
 HELP = "rank evaluated entries on a static page"
 
@@ -38,13 +38,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Check, rank, print, write."""
     from magical.extras import require
-    from magical.report.leaderboard import make_leaderboard
-    from magical.report.leaderboard.checks import by_reasons
-    from magical.report.scores.summaries import interval_text
+    from magical.report.leaderboard import by_reasons, make_leaderboard
+    from magical.report.table import interval_text
 
     if args.out:
         require("report")
-    board = make_leaderboard(args.folders, args.out, args.rerun)
+    board = make_leaderboard(args.folders, args.rerun)
     for part in board.boards:
         if not part.standings:
             print("no method has entries on all tasks\n")
@@ -57,12 +56,12 @@ def run(args: argparse.Namespace) -> int:
                 interval_text(row.gap, row.unit),
                 row.gap_place,
                 row.unit,
-                row.learning_class or "–",
+                row.track or "–",
                 ", ".join(row.used) or "–",
             )
             for row in part.standings
         ]
-        last = ("intervals over", "class", "used")
+        last = ("intervals over", "track", "used")
         print_table(("rank", part.name, "TestAll", "gap", "rank by gap", *last), rows)
         print()
     for reasons, entries in by_reasons(board.rejected):
@@ -72,9 +71,7 @@ def run(args: argparse.Namespace) -> int:
         board.write(args.out)
         log(f"wrote {args.out / 'index.html'}")
     boards = {part.name: [_plain(row) for row in part.standings] for part in board.boards}
-    rejected = [
-        {"folder": entry.folder, "reasons": list(entry.reasons)} for entry in board.rejected
-    ]
+    rejected = [{"folder": e.folder, "reasons": list(e.reasons)} for e in board.rejected]
     print_json(args, {"boards": boards, "rejected": rejected})
     return 0
 
@@ -88,7 +85,7 @@ def _plain(row: "Standing") -> dict[str, Any]:
         "test_all": plain_interval(row.test_all),
         "demo": plain_interval(row.demo),
         "gap": plain_interval(row.gap),
-        "class": row.learning_class,
+        "track": row.track,
         "used": row.used,
         **row.statements._asdict(),
     }

@@ -7,7 +7,6 @@ at any depth. Folders with the same method are its runs and share a row.
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from magical.commands._common import (
     UsageError,
@@ -19,9 +18,6 @@ from magical.commands._common import (
     print_json,
     print_table,
 )
-
-if TYPE_CHECKING:
-    from magical.report.found.search import Found
 
 HELP = "make a page of tables from evaluated runs"
 TITLE = "MAGICAL: results"
@@ -52,10 +48,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Read, tabulate, write."""
+    """Read, tabulate, print every table of the page as text, write the file."""
+    from magical.evaluation.loading import policy_of
     from magical.extras import require
-    from magical.report.found.search import find_results
-    from magical.report.pages.export import format_of
+    from magical.report.found import find_results
+    from magical.report.page import FORMATS, all_tables, format_of, plain_rows, write_page
+    from magical.report.table import matching_methods, rows_of
 
     if args.format and not args.out:
         raise UsageError("--format needs --out FILE")
@@ -67,25 +65,13 @@ def run(args: argparse.Namespace) -> int:
     found = find_results(args.folders)
     for item in found.skipped:
         log(f"skipped {item.folder}: {item.reason}")
-    return _tabulate(args, found, kind)
-
-
-def _tabulate(args: argparse.Namespace, found: "Found", kind: str | None) -> int:
-    """Print every table of the page as text, and write the file."""
-    from magical.report.pages.export import FORMATS, all_tables, plain_rows
-    from magical.report.scores.differences import matching_methods
-
+    rows = rows_of(found.entries)
     published = tuple(matching_methods(found.entries) if args.published is None else args.published)
-    for table in all_tables(found, published):
+    for table in all_tables(rows, published):
         print_table(table.header, table.rows)
         print(f"{table.note}\n")
     notes: Sequence[str] = ()
-    if kind and kind in FORMATS:
-        FORMATS[kind](found, published, args.out)
-    elif kind:
-        from magical.evaluation.provenance import policy_of
-        from magical.report.pages.evaluated import write_page
-
+    if kind == "html":
         notes = write_page(
             args.out,
             args.title or TITLE,
@@ -94,10 +80,12 @@ def _tabulate(args: argparse.Namespace, found: "Found", kind: str | None) -> int
             load_policy=lambda result: policy_of(result.folder, result.entry, result.run),
             clips=args.clips or 0,
         )
+    elif kind:
+        FORMATS[kind](found, published, args.out)
     if kind:
         log(f"wrote {args.out}")
     for note in notes:
         log(f"error: no rollouts of {note}")
     skipped = [{"folder": str(item.folder), "reason": item.reason} for item in found.skipped]
-    print_json(args, {"rows": plain_rows(found, published), "skipped": skipped})
+    print_json(args, {"rows": plain_rows(rows, published), "skipped": skipped})
     return int(bool(notes))

@@ -42,10 +42,9 @@ def run(args: argparse.Namespace) -> int:
     import numpy as np
 
     from magical.evaluation import load_policy, read_entry
-    from magical.evaluation.provenance import policy_of, recorded_threads
+    from magical.evaluation.loading import policy_of, recorded_threads
     from magical.evaluation.verification import is_elsewhere, verify
-    from magical.runs import versions
-    from magical.runs.machine import machine
+    from magical.runs.machine import machine, versions
 
     entry = read_entry(args.entry)
     policy = load_policy(args.policy) if args.policy else policy_of(args.entry, entry)
@@ -55,15 +54,11 @@ def run(args: argparse.Namespace) -> int:
             policy,
             rounds=args.rounds,
             rng=np.random.default_rng(args.seed),
-            elsewhere=is_elsewhere(entry.details, machine(), versions()),
+            elsewhere=is_elsewhere(entry.record, machine(), versions()),
             workers=args.workers,
         )
     _print(found)
-    counts = {
-        "rollouts": len(found.recorded),
-        "total": len(entry.scores),
-        "equal": found.equal,
-    }
+    counts = {"rollouts": len(found.recorded), "total": len(entry.scores), "equal": found.equal}
     print_json(args, {"confirmed": found.confirmed, **counts, "exact": found.exact})
     return 0 if found.confirmed else 1
 
@@ -83,18 +78,12 @@ def _print(found: "Verification") -> None:
         for env_id, part in found.by_environment().items()
     ]
     print_table(("task", "variant", "rollouts", "equal", "recorded mean", "mean now"), rows)
-    print(_sample(found))
-    print(_verdict(found))
-
-
-def _sample(found: "Verification") -> str:
-    """How many rollouts were run again, and what that can find."""
+    sample = f"{len(found.recorded)} of {found.total} rollouts run again"
     if found.share == 1.0:
-        return f"all {len(found.recorded)} rollouts run again"
-    text = f"{len(found.recorded)} of {found.total} rollouts run again"
-    if not found.exact:
-        return text
-    return f"{text}: one altered score is found with probability {found.share:.2f}"
+        sample = f"all {len(found.recorded)} rollouts run again"
+    elif found.exact:
+        sample += f": one altered score is found with probability {found.share:.2f}"
+    print(f"{sample}\n{_verdict(found)}")
 
 
 def _verdict(found: "Verification") -> str:
@@ -106,16 +95,16 @@ def _verdict(found: "Verification") -> str:
             f"not confirmed: {count}; all should, unless a network acts and the entry states "
             "another machine or other versions"
         )
-    value, low, high = found.mean_changes()[0]
-    bounds = "" if math.isnan(low) else f" ({decimals(low, 3, '+')} to {decimals(high, 3, '+')})"
-    change = f"the mean score changed by {decimals(value, 3, '+')}{bounds}"
+    value, low, high = (decimals(number, 3, "+") for number in found.mean_changes()[0])
+    bounds = "" if math.isnan(found.mean_changes()[0].low) else f" ({low} to {high})"
+    change = f"{count}; the mean score changed by {value}{bounds}"
     elsewhere = "the entry was evaluated on another machine or with other versions"
     if found.confirmed:
         return (
-            f"not contradicted: {count}; {change}, which chance can explain, as it can the changes "
-            f"in every environment; {elsewhere}, where single rollouts may differ"
+            f"not contradicted: {change}, which chance can explain, as it can the changes in every "
+            f"environment; {elsewhere}, where single rollouts may differ"
         )
     return (
-        f"not confirmed: {count}; {change}; this, or the change in an environment, is more than "
-        f"chance can explain, or rests on a single rollout; {elsewhere}"
+        f"not confirmed: {change}; this, or the change in an environment, is more than chance can "
+        f"explain, or rests on a single rollout; {elsewhere}"
     )

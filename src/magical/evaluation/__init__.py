@@ -1,6 +1,6 @@
 """Policies, evaluation with fixed seeds, statistics, and the published scores. Needs no torch."""
 
-from magical.evaluation.entry import Entry, read_entry
+from magical.evaluation.entry import Entry, Record, read_entry, read_scores, write_scores
 from magical.evaluation.loading import BUILT_IN, load_policy, policy_names
 from magical.evaluation.policy import FunctionPolicy, NoopPolicy, Policy, RandomPolicy
 from magical.evaluation.protocol import Evaluation, environments
@@ -12,7 +12,7 @@ from magical.evaluation.published import (
     published_tasks,
 )
 from magical.evaluation.rollouts import evaluate
-from magical.evaluation.scores import RolloutScore, by_variant, read_scores, summarise, write_scores
+from magical.evaluation.scores import RolloutScore, by_variant, summarise
 
 __all__ = [
     "BUILT_IN",
@@ -22,6 +22,7 @@ __all__ = [
     "NoopPolicy",
     "Policy",
     "RandomPolicy",
+    "Record",
     "RolloutScore",
     "by_variant",
     "difference_from_published",

@@ -1,9 +1,21 @@
-"""An evaluated run on disk: `scores.csv` and `entry.json` (docs/protocol.md)."""
+"""Evaluated runs on disk, each in a folder or many together (docs/protocol.md).
 
+An entry is how a policy was evaluated, what it learned from, and its scores: `entry.json` and
+`scores.csv` in a folder. A collection is many of them: `entries.json` has the contents of each
+`entry.json` by name, `scores.csv.gz` the rows of all `scores.csv`, each preceded by the name. A
+hundred runs take a hundredth of the space of their folders.
+"""
+
+import csv
+import gzip
+import io
 import json
-from collections.abc import Sequence
+import os
+import zlib
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any, Self
 
@@ -12,199 +24,242 @@ from msgspec import Meta
 from magical import __version__
 from magical.envs.action_spec import DISCRETE
 from magical.errors import MagicalError, ScoresError
-from magical.evaluation.noise import checked_noise
 from magical.evaluation.policy import Policy, action_spec_of, observed
 from magical.evaluation.protocol import Evaluated, Evaluation
-from magical.evaluation.scores import (
-    MAX_ROWS,
-    RolloutScore,
-    check_protocol,
-    read_scores,
-    write_scores,
-)
-from magical.files import write_atomically
+from magical.evaluation.scores import HEADER, MAX_ROWS, RolloutScore, check_protocol, parse_rows
+from magical.files import reading, write_atomically, write_json
 from magical.messages import quoted
 from magical.observe import STATE, Observation, parse_spec
+from magical.runs import provenance
+from magical.runs.sources import parse_source
 from magical.tasks import parse_horizon
 from magical.tasks.horizons import APPENDIX
-from magical.untrusted import convert, parse_json, read_json
+from magical.untrusted import convert, read_json
 
-POLICY = "policy"  # in the details: a run folder relative to the entry's, or a policy's name
-THREADS = "threads"  # in the details: CPU threads that the acting network used
-UPDATES = "updates"  # in the details of a training run: `done` and `planned`
-ACTION_SPACE = "action_space"  # in the details, unless it is the discrete one
-TRAINING_SEED = "training_seed"  # in the details of a trained policy, if known
-DATE = "date"  # in the details: when the evaluation began, ISO 8601
-TRAINING = ("demonstrations", "num_demos", "pretrained_on")  # in the details of some runs
-LEARNED_FROM = "learned_from"  # in the details: what the policy was made from
-LOOKS = "looks"  # in the details: how often test variants were evaluated before
 SCORES_FILE, ENTRY_FILE = "scores.csv", "entry.json"
+ROWS_FILE, ENTRIES_FILE = "scores.csv.gz", "entries.json"
+COLLECTION_BYTES = 1 << 26  # of `entries.json`
+COLLECTION_ROWS = 1_000_000  # of a compressed file, which may hold any number
+MAX_THREADS = 1024  # the most that an entry can ask for
 
 Text = Annotated[str, Meta(max_length=200)]
+Count = Annotated[int, Meta(ge=0)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _EntryFile:
+class Record:
+    """What a policy was made from, and what evaluated it; `None` or empty if not stated.
+
+    Attributes:
+        policy: what was evaluated: a run folder relative to the entry, or a policy's name.
+        learned_from: terms of `magical.runs.sources.SOURCES`.
+        demonstrations: how many and whose.
+        num_demos: demonstrations of each task.
+        pretrained_on: the tasks that a network was pre-trained on.
+        algorithm, preset: of the training run.
+        training_seed: of the training run.
+        updates: the updates of training that are done, and those planned.
+        test_evaluations: how often test variants were evaluated while the method was designed.
+        threads: CPU threads that the acting network used.
+        date: when the evaluation began, ISO 8601.
+        versions, commit, machine: what evaluated it.
+        notes: authors, links, and whatever else there is to say.
+    """
+
+    policy: Text = ""
+    learned_from: tuple[Text, ...] | None = None
+    demonstrations: Text = ""
+    num_demos: Count | None = None
+    pretrained_on: tuple[Text, ...] = ()
+    algorithm: Text = ""
+    preset: Text = ""
+    training_seed: int | None = None
+    updates: tuple[Count, Count] | None = None
+    test_evaluations: Count | None = None
+    threads: Annotated[int, Meta(ge=1, le=MAX_THREADS)] | None = None
+    date: Text = ""
+    versions: dict[Text, Text] = field(default_factory=dict)
+    commit: Text | None = None
+    machine: dict[Text, Text] = field(default_factory=dict)
+    notes: Annotated[str, Meta(max_length=2000)] = ""
+
+    def __post_init__(self) -> None:
+        for name in self.learned_from or ():
+            parse_source(name)
+
+    @property
+    def unfinished(self) -> str:
+        """How far training was, such as `25 of 600 updates`; empty if finished or not stated."""
+        done, planned = self.updates or (0, 0)
+        return f"{done} of {planned} updates" if done < planned else ""
+
+
+def record_of(policy: Policy, name: str, out: Path) -> Record:
+    """What an entry written to `out` records about a policy and its evaluation now.
+
+    Args:
+        policy: the policy, whose `record` is included.
+        name: a run folder, which is recorded relative to `out`, or another policy's name.
+        out: the entry's folder.
+    """
+    if Path(name).is_dir():  # `..` of a link is elsewhere
+        name = os.path.relpath(Path(name).resolve(), out.resolve())
+    made = {"policy": name, "date": f"{datetime.now(UTC):%FT%TZ}", **provenance()}
+    if updates := getattr(policy, "updates", None):
+        made["updates"] = list(updates)
+    stated = dict(getattr(policy, "record", None) or {})
+    return convert({**stated, **made}, Record, "the policy's record", ScoresError)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Entry:
+    """One training run's evaluation: how it was done, what was learned from, every score.
+
+    Attributes:
+        method: the method's name in tables.
+        evaluated: how the policy was evaluated.
+        record: what it was made from.
+        scores: the score of every rollout.
+        version: the version of this package.
+    """
+
+    method: str
+    evaluated: Evaluated
+    record: Record = field(default_factory=Record)
+    scores: Sequence[RolloutScore] = field(default=(), repr=False)
+    version: str = __version__
+
+    def __post_init__(self) -> None:
+        stated = (("method", self.method), ("observation", self.evaluated.observation))
+        for name, text in (*stated, ("version", self.version)):
+            if not str(text).isprintable():
+                raise ScoresError(f"{name}: expected printable characters, found {quoted(text)}")
+        if not self.method.strip():
+            raise ScoresError(f"method: expected a name, found {self.method!r}")
+
+    @classmethod
+    def of(
+        cls, policy: Policy, evaluation: Evaluation, *, method: str, record: Record, **others: Any
+    ) -> Self:
+        """The entry for an evaluation; raises `ScoresError` for one with too many rollouts."""
+        if (count := len(evaluation.env_ids) * evaluation.rollouts) > MAX_ROWS:
+            raise ScoresError(f"expected at most {MAX_ROWS} rollouts in an entry, found {count}")
+        task = evaluation.env_ids[0].task_spec
+        observation, privileged = observed(policy, evaluation.observation, task)
+        shown = {"observation": observation, "privileged": privileged}
+        shown["action_space"] = action_spec_of(policy).name
+        evaluated = Evaluated(env_ids=evaluation.env_ids, **(evaluation.settings | shown))
+        return cls(method=method, evaluated=evaluated, record=record, **others)
+
+    @property
+    def observation(self) -> str:
+        """What the policy was shown, as text."""
+        return str(self.evaluated.observation or "")
+
+    def evaluation(self, policy: Policy) -> Evaluation:
+        """The evaluation to repeat with the entry's policy."""
+        observation: Observation = None
+        # The recorded observation is used only if the policy does not state its own.
+        if getattr(policy, "observation", None) is None:
+            with suppress(MagicalError):  # not an observation that is known here
+                spec = parse_spec(self.observation, self.evaluated.env_ids[0].task_spec)
+                observation = spec if self.observation.startswith("{") else self.observation
+        return replace(self.evaluated, observation=observation)
+
+    def write(self, folder: Path | str) -> None:
+        """Write both files.
+
+        Notes of an earlier entry there of the same method and policy are kept, and the larger
+        number of test evaluations.
+        """
+        target, entry = Path(folder) / ENTRY_FILE, self
+        with suppress(MagicalError):
+            old = convert(_renamed(read_json(target, dict, ScoresError)), _File, "", ScoresError)
+            if (old.method, old.record.policy) == (self.method, self.record.policy):
+                numbers = (old.record.test_evaluations, self.record.test_evaluations)
+                most = max((n for n in numbers if n is not None), default=None)
+                notes = self.record.notes or old.record.notes
+                entry = replace(
+                    self, record=replace(self.record, test_evaluations=most, notes=notes)
+                )
+        with write_atomically(target) as file:
+            file.write((json.dumps(entry.stated, indent=2) + "\n").encode())
+            file.flush()
+            # Within, so that without space on the disk both files stay as they were.
+            write_scores(self.scores, Path(folder) / SCORES_FILE)
+
+    @property
+    def stated(self) -> dict[str, Any]:
+        """Everything except the scores as plain data: what `entry.json` holds."""
+        how = self.evaluated
+        stated = _File(
+            method=self.method,
+            observation=self.observation,
+            privileged=how.privileged,
+            action_space=how.action_space,
+            horizon=how.horizon_name,
+            nudge=how.nudge,
+            seed=how.seed,
+            version=self.version,
+        )
+        default = asdict(Record())
+        kept = {n: value for n, value in asdict(self.record).items() if value != default[n]}
+        return {**asdict(stated), "record": kept}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _File:
     """What `entry.json` holds."""
 
     method: Text
     observation: Text = ""
     privileged: bool = False
+    action_space: Text = DISCRETE.name
     horizon: Text = APPENDIX
     nudge: float = 0.0
-    seed: Annotated[int, Meta(ge=0)] = 0
+    seed: Count = 0
     version: Text = ""
-    details: dict[str, Any] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        for name in ("method", "observation", "version"):
-            if not (text := str(getattr(self, name))).isprintable():
-                raise ScoresError(f"{name}: expected printable characters, found {quoted(text)}")
-        if not self.method.strip():
-            raise ScoresError(f"method: expected a name, found {self.method!r}")
-        checked_noise(self.nudge)
-        parse_horizon(self.horizon)
-        if self.observation == STATE:
-            object.__setattr__(self, "privileged", True)
+    record: Record = field(default_factory=Record)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Entry(_EntryFile):
-    """One training run's evaluation: how it was done, and every rollout's score.
+def _renamed(data: dict[str, Any]) -> dict[str, Any]:
+    """The contents of an `entry.json` with the names that earlier versions wrote replaced."""
+    details = data.get("details")
+    if not isinstance(details, dict) or "record" in data:
+        return data
+    kept, record = {**data}, {**details}
+    del kept["details"]
+    if "looks" in record:
+        record["test_evaluations"] = record.pop("looks")
+    if "action_space" in record:
+        kept["action_space"] = record.pop("action_space")
+    return {**kept, "record": record}
 
-    Attributes:
-        method: the method's name in tables.
-        scores: the score of every rollout.
-        observation: what the policy was shown.
-        privileged: whether that was the true state.
-        horizon: `appendix`, `published`, or a number of control steps.
-        nudge: the largest shift of initial poses, in units and radians.
-        seed: which set of fixed seeds.
-        version: the version of this package.
-        details: demonstrations, training, authors, ...
 
-    Raises:
-        ScoresError: unprintable text, or an empty method name.
-        InvalidConfigError: an invalid horizon or nudge.
-    """
-
-    scores: Sequence[RolloutScore] = field(repr=False)
-
-    @classmethod
-    def of(
-        cls,
-        policy: Policy,
-        evaluation: Evaluation,
-        *,
-        method: str,
-        scores: Sequence[RolloutScore] = (),
-        details: dict[str, Any],
-    ) -> Self:
-        """The entry for an evaluation of a policy; raises what the class raises.
-
-        `action_space` is added to the details unless it is the benchmark's discrete one, and
-        `updates` for the policy of a training run.
-        """
-        if (count := len(evaluation.env_ids) * evaluation.rollouts) > MAX_ROWS:
-            raise ScoresError(f"expected at most {MAX_ROWS} rollouts in an entry, found {count}")
-        task = evaluation.env_ids[0].task_spec
-        observation, privileged = observed(policy, evaluation.observation, task)
-        actions = action_spec_of(policy)
-        if actions is not DISCRETE:
-            details = {**details, ACTION_SPACE: actions.name}
-        if updates := getattr(policy, "updates", None):
-            details = {**details, UPDATES: dict(zip(("done", "planned"), updates, strict=True))}
-        return cls(
-            method=method,
+def make_entry(data: dict[str, Any], scores: Sequence[RolloutScore], stated_in: str) -> Entry:
+    """An entry from the contents of `entry.json`; raises `ScoresError` saying what is wrong."""
+    file = convert(_renamed(data), _File, stated_in, ScoresError)
+    try:
+        check_protocol(scores, file.seed)
+        evaluated = Evaluated(
+            env_ids=tuple(dict.fromkeys(row.env_id for row in scores)),
+            rollouts=1 + max(row.rollout for row in scores),
+            seed=file.seed,
+            observation=file.observation,
+            horizon=parse_horizon(file.horizon),
+            nudge=file.nudge,
+            action_space=file.action_space,
+            privileged=file.privileged or file.observation == STATE,
+        )
+        return Entry(
+            method=file.method,
+            evaluated=evaluated,
+            record=file.record,
             scores=scores,
-            observation=observation,
-            privileged=privileged,
-            horizon=evaluation.horizon_name,
-            nudge=evaluation.nudge,
-            seed=evaluation.seed,
-            version=__version__,
-            details=details,
+            version=file.version,
         )
-
-    @property
-    def evaluated(self) -> Evaluated:
-        """How the scores were obtained."""
-        return Evaluated(
-            env_ids=tuple(dict.fromkeys(row.env_id for row in self.scores)),
-            rollouts=1 + max(row.rollout for row in self.scores),
-            seed=self.seed,
-            observation=self.observation,
-            horizon=parse_horizon(self.horizon),
-            nudge=self.nudge,
-            action_space=str(self.details.get(ACTION_SPACE, DISCRETE.name)),
-            privileged=self.privileged,
-        )
-
-    def evaluation(self, policy: Policy) -> Evaluation:
-        """The evaluation to repeat with the entry's policy."""
-        evaluated = self.evaluated
-        observation: Observation = None
-        # The recorded observation is used only if the policy does not state its own.
-        if getattr(policy, "observation", None) is None:
-            with suppress(MagicalError):  # not an observation that is known here
-                spec = parse_spec(self.observation, evaluated.env_ids[0].task_spec)
-                observation = spec if self.observation.startswith("{") else self.observation
-        return replace(evaluated, observation=observation)
-
-    def write(self, folder: Path | str) -> None:
-        """Write both files.
-
-        If the folder already holds an entry of the same method and policy, its details that this
-        one lacks are kept, but not what it learned from, which only this evaluation can know; of
-        two numbers of looks the larger counts. Raises what `merged` raises, before anything is
-        written.
-        """
-        text = self.merged(folder)._json(Path(folder) / ENTRY_FILE)
-        with write_atomically(Path(folder) / ENTRY_FILE) as file:
-            file.write(text.encode())
-            file.flush()
-            # Within, so that without space on the disk both files stay as they were.
-            write_scores(self.scores, Path(folder) / SCORES_FILE)
-
-    def merged(self, folder: Path | str) -> "Entry":
-        """The entry that `write` would write, which may be called before scores are computed.
-
-        Raises:
-            ScoresError: a field that `read_entry` would refuse, or a damaged entry in the folder.
-            TypeError: details that cannot be written as JSON.
-        """
-        target = Path(folder) / ENTRY_FILE
-        kept = self._kept(target)
-        numbers = [stated.get(LOOKS) for stated in (kept, self.details)]
-        looks = [number for number in numbers if isinstance(number, int)]
-        most = {LOOKS: max(looks)} if len(looks) > 1 else {}
-        merged = replace(self, details=kept | self.details | most)
-        merged._json(target)
-        return merged
-
-    @property
-    def stated(self) -> dict[str, Any]:
-        """All fields except the scores, as plain data: what `entry.json` holds."""
-        return {field.name: getattr(self, field.name) for field in fields(_EntryFile)}
-
-    def _json(self, target: Path) -> str:
-        text = json.dumps(self.stated, indent=2) + "\n"
-        parse_json(text, _EntryFile, str(target), ScoresError)
-        return text
-
-    def _kept(self, target: Path) -> dict[str, Any]:
-        """What was added to an earlier entry of the same method and policy."""
-        if not target.exists():
-            return {}
-        old = read_json(target, _EntryFile, ScoresError)
-        policies = {str(d[POLICY]) for d in (old.details, self.details) if POLICY in d}
-        if old.method != self.method or len(policies) > 1:
-            return {}
-        is_run = "algorithm" in self.details  # whose training was recorded anew
-        outdated = {ACTION_SPACE, LEARNED_FROM, *(TRAINING if is_run else ())}
-        if old.details.get(LOOKS) == 0:  # true of that evaluation alone
-            outdated.add(LOOKS)
-        return {name: value for name, value in old.details.items() if name not in outdated}
+    except (MagicalError, ValueError) as error:
+        raise ScoresError(f"{stated_in}: {error}") from error
 
 
 def read_entry(folder: Path | str) -> Entry:
@@ -215,27 +270,72 @@ def read_entry(folder: Path | str) -> Entry:
             message says which and what was expected.
     """
     source = Path(folder)
-    if not source.is_dir():
-        found = "a file" if source.exists() else "nothing"
-        raise ScoresError(f"{source}: expected a folder, found {found}")
     for name in (SCORES_FILE, ENTRY_FILE):
         if not (source / name).exists():
             raise ScoresError(
-                f"{source}: expected {SCORES_FILE} and {ENTRY_FILE}, found no {name}; "
-                f"`magical evaluate POLICY --out {source}` writes them"
+                f"{source}: expected a folder with {SCORES_FILE} and {ENTRY_FILE}, found no "
+                f"{name}; `magical evaluate POLICY --out {source}` writes them"
             )
     data = read_json(source / ENTRY_FILE, dict[str, Any], ScoresError)
-    scores = read_scores(source / SCORES_FILE)
-    return make_entry(data, scores, str(source / ENTRY_FILE), str(source / SCORES_FILE))
+    return make_entry(data, read_scores(source / SCORES_FILE), str(source / ENTRY_FILE))
 
 
-def make_entry(
-    data: dict[str, Any], scores: Sequence[RolloutScore], stated_in: str, scored_in: str
-) -> Entry:
-    """Make an entry from the data of `entry.json`; raises `ScoresError` naming what is wrong."""
-    read = convert(data, _EntryFile, stated_in, ScoresError)
+def write_scores(scores: Iterable[RolloutScore], path: Path | str) -> None:
+    """Write `scores.csv`; floats are read back unchanged."""
+    with write_atomically(path) as file, io.TextIOWrapper(file, "utf-8", newline="") as text:
+        _write_rows(text, HEADER, scores)
+
+
+def _write_rows(text: io.TextIOBase, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows(rows)
+
+
+def read_scores(path: Path | str) -> list[RolloutScore]:
+    """Read what `write_scores` wrote; raises `ScoresError` naming the line that is wrong."""
+    with (
+        reading(path, ScoresError),
+        Path(path).open(encoding="utf-8", errors="replace", newline="") as text,
+    ):
+        return [row for _, row in parse_rows(text, HEADER, path, MAX_ROWS)]
+
+
+def write_collection(folder: Path, entries: Mapping[str, Entry]) -> None:
+    """Write the entries by name; the same entries give the same bytes."""
+    named = sorted(entries.items())
+    with (
+        write_atomically(folder / ROWS_FILE) as file,
+        gzip.GzipFile("", "wb", fileobj=file, mtime=0) as packed,
+        io.TextIOWrapper(packed, "utf-8", newline="") as text,
+    ):
+        rows = ((name, *row) for name, entry in named for row in entry.scores)
+        _write_rows(text, ("entry", *HEADER), rows)
+    write_json(folder / ENTRIES_FILE, {name: entry.stated for name, entry in named}, indent=1)
+
+
+def read_collection(folder: Path) -> dict[str, Entry | ScoresError]:
+    """Read every entry by name; for a damaged one the value is its error.
+
+    Raises:
+        ScoresError: a file is missing or damaged; the message says which and what was expected.
+    """
+    stated = read_json(
+        folder / ENTRIES_FILE, dict[str, dict[str, Any]], ScoresError, max_bytes=COLLECTION_BYTES
+    )
+    path, scores = folder / ROWS_FILE, dict[str, list[RolloutScore]]()
     try:
-        check_protocol(scores, read.seed)
-    except ScoresError as error:
-        raise ScoresError(f"{scored_in}: {error}") from error
-    return Entry(scores=scores, **{field.name: getattr(read, field.name) for field in fields(read)})
+        with gzip.open(path, "rt", encoding="utf-8", errors="replace", newline="") as text:
+            for (name,), row in parse_rows(text, ("entry", *HEADER), path, COLLECTION_ROWS):
+                scores.setdefault(name, []).append(row)
+    except (OSError, EOFError, zlib.error) as error:
+        raise ScoresError(f"{path}: expected compressed scores: {error}") from error
+    entries: dict[str, Entry | ScoresError] = {}
+    for name, data in stated.items():
+        try:
+            entries[name] = make_entry(
+                data, scores.get(name, []), f"{folder / ENTRIES_FILE}: {name}"
+            )
+        except ScoresError as error:
+            entries[name] = error
+    return entries

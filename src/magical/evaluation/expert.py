@@ -1,6 +1,7 @@
 """The scripted experts as a policy: an upper bound in every table."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -23,17 +24,15 @@ class ExpertPolicy:
     Raises:
         InvalidConfigError: a share outside [0, 1].
         NoExpertError: a task has no expert; raised by the first `act`.
-        UnknownNameError: an unknown action space.
     """
 
     privileged = True
     exact = True
     in_processes = True  # it is fast to start and costly to run
+    record: Mapping[str, Any] = {"learned_from": []}
 
     def __init__(
-        self,
-        random_share: float = 0.0,
-        action_space: ActionSpaceName = "discrete",
+        self, random_share: float = 0.0, action_space: ActionSpaceName = "discrete"
     ) -> None:
         check_share("random_share", random_share)
         self.random_share = random_share

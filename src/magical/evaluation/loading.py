@@ -3,12 +3,16 @@
 import inspect
 import os
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any, Protocol
 
 from magical.errors import MissingDependencyError, PolicyError, UnknownNameError
+from magical.evaluation.entry import Entry
 from magical.evaluation.policy import FunctionPolicy, NoopPolicy, Policy, RandomPolicy
-from magical.plugins import load_plugin, plugins
+from magical.messages import quoted
+from magical.plugins import load_plugin, load_reference, plugins
+from magical.runs import is_run
 
 
 def _expert() -> Policy:
@@ -22,15 +26,12 @@ BUILT_IN: dict[str, Callable[[], Policy]] = {
     "noop": NoopPolicy,
     "expert": _expert,
 }
-
-
-GROUP = "magical.policies"  # the group of other distributions' entry points
-# The group for functions that load the policies of another tool: `lerobot:PATH` is what the one
-# named `lerobot` returns for PATH. The one named `run` loads run folders.
-LOADERS = "magical.policy_loaders"
+# The group of other distributions' entry points: a policy, or for names `NAME:TEXT` a function of
+# the text. The one named `run` loads run folders.
+GROUP = "magical.policies"
 RUN = "run"
-# By loader: its distribution, and the folder of the repository that holds it.
-LOADING = {
+# What brings the functions, and where it is in a clone of the repository.
+BROUGHT_BY = {
     RUN: ("magical-baselines", "baselines"),
     "lerobot": ("lerobot_env_magical", "integrations/lerobot_env_magical"),
 }
@@ -41,7 +42,7 @@ class Acting(Protocol):
 
     @property
     def act(self) -> Callable[..., Any]:
-        """See `Policy.act`."""
+        """As that of `Policy`."""
 
 
 PolicySource = str | os.PathLike[str] | Acting | Callable[..., Any]  # for `load_policy`
@@ -54,9 +55,8 @@ def load_policy(source: PolicySource) -> Policy:
         source: one of
 
             - a name in `BUILT_IN`, or of another distribution's entry point;
-            - `lerobot:PATH`, or another loader's name and what it loads;
-            - a run folder, whose newest checkpoint is loaded by magical-baselines
-              (`magical_baselines.load_policy` also chooses the device, or greedy actions);
+            - `lerobot:PATH`, or another entry point's name and what it loads;
+            - a run folder, whose newest checkpoint is loaded by the entry point `run`;
             - `module:name` or `path/to/file.py:name`. The working directory is searched last for
               the module, and only if it is found nowhere else;
             - a policy, or what such a name may refer to: an object with `act`, and `reset` if it
@@ -68,26 +68,32 @@ def load_policy(source: PolicySource) -> Policy:
         PluginError: the module or the name in it cannot be found.
         PolicyError: it is not a policy.
         RunFolderError, CheckpointError: the folder holds no run, or a damaged one.
-        MissingDependencyError: PyTorch, for a run folder, or a loader's distribution is not
-            installed.
+        MissingDependencyError: what loads it is not installed.
     """
     if not isinstance(source, str | os.PathLike):
         return _as_policy(source)
     name = os.fspath(source)
     if name in BUILT_IN:
         return BUILT_IN[name]()
-    if name not in policy_names() and Path(name).is_dir():
+    if name in policy_names():
+        return _as_policy(load_plugin(GROUP, name), name)
+    if Path(name).is_dir():
         name = f"{RUN}:{name}"
-    loader, colon, what = name.partition(":")
-    if colon and loader in plugins(LOADERS):
-        return _as_policy(load_plugin(LOADERS, loader)(what), name)
-    if colon and loader in LOADING:
-        distribution, folder = LOADING[loader]
+    prefix, colon, text = name.partition(":")
+    if colon and prefix in plugins(GROUP):
+        return _as_policy(load_plugin(GROUP, prefix)(text), name)
+    if colon and prefix in BROUGHT_BY:
+        distribution, folder = BROUGHT_BY[prefix]
         raise MissingDependencyError(
             f"policy {name!r}: this needs {distribution}, which is not installed; in a clone of "
             f"the repository: pip install ./{folder}"
         )
-    return _as_policy(_attribute(name), name)
+    if not all(name.rpartition(":")):
+        raise UnknownNameError(
+            f"policy {name!r}: expected one of {', '.join(policy_names())}, a run "
+            "folder, module:name or file.py:name"
+        )
+    return _as_policy(load_reference(name), name)
 
 
 def policy_names() -> tuple[str, ...]:
@@ -96,7 +102,50 @@ def policy_names() -> tuple[str, ...]:
     They take precedence over folders with these names. Entries may have them loaded, since they
     are installed.
     """
-    return (*BUILT_IN, *plugins(GROUP))
+    return (*BUILT_IN, *(name for name in plugins(GROUP) if name not in BROUGHT_BY))
+
+
+def policy_of(folder: Path, entry: Entry, run: Path | None = None) -> Policy:
+    """The policy of an evaluated run: from its run folder, or by a name in `policy_names`.
+
+    Other code that an entry names is not run, since entries may come from anywhere.
+
+    Args:
+        folder: the entry's folder.
+        entry: the entry.
+        run: the run folder if the entry names none; by default `folder`.
+
+    Raises:
+        PolicyError: the entry has no such policy.
+        RunFolderError, CheckpointError: the run cannot be loaded.
+    """
+    name = entry.record.policy
+    if name in policy_names():
+        return load_policy(name)
+    for place in (folder / name, run or folder):
+        if is_run(place):
+            return load_policy(place)
+    raise PolicyError(
+        f"{folder}: expected a run folder or one of {', '.join(policy_names())} as the policy "
+        f"that was evaluated, found {quoted(name)}; magical verify takes others by --policy"
+    )
+
+
+def recorded_threads(policy: Policy, entry: Entry) -> AbstractContextManager[None]:
+    """A context in which a policy uses as many CPU threads as in an entry's evaluation.
+
+    Another number may change the last bit of a network's arithmetic. Nothing changes if the entry
+    records no number, or the policy has no `using_threads`.
+    """
+    using: Callable[[int], AbstractContextManager[None]] | None
+    using = getattr(policy, "using_threads", None)
+    return using(entry.record.threads) if using and entry.record.threads else nullcontext()
+
+
+_EXPECTED = (
+    "expected an object with act(observations, env_ids, rng), something that returns one when "
+    "called without arguments, or a function (observations, env_ids, rng) -> actions"
+)
 
 
 def _as_policy(thing: Any, name: str = "policy") -> Policy:
@@ -129,12 +178,6 @@ def _check_signature(act: Callable[..., Any], name: str) -> None:
         pass
 
 
-_EXPECTED = (
-    "expected an object with act(observations, env_ids, rng), something that returns one when "
-    "called without arguments, or a function (observations, env_ids, rng) -> actions"
-)
-
-
 def _needs_arguments(thing: Callable[..., Any]) -> bool:
     try:
         signature = inspect.signature(thing)
@@ -143,14 +186,3 @@ def _needs_arguments(thing: Callable[..., Any]) -> bool:
         return True
     takes_any = any(p.kind is p.VAR_POSITIONAL for p in signature.parameters.values())
     return takes_any and not inspect.isclass(thing)
-
-
-def _attribute(name: str) -> Any:
-    """What the name of an entry point, `module:name` or `file.py:name` refers to."""
-    module_name, _, attribute = name.rpartition(":")
-    if name in plugins(GROUP) or (module_name and attribute):
-        return load_plugin(GROUP, name)
-    raise UnknownNameError(
-        f"policy {name!r}: expected one of {', '.join(policy_names())}, a run "
-        "folder, module:name or file.py:name"
-    )

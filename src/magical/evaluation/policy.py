@@ -1,7 +1,7 @@
 """The protocol of policies, and simple policies."""
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -37,7 +37,8 @@ class Policy(Protocol):
     - `in_processes` (bool): copies of it may act in several processes; it can be pickled.
     - `modules(tasks)`: the modules that such processes must import first.
     - `updates` (two integers): the updates of its training that are done, and those planned.
-    - `record` (dict): what entries state about it, such as `learned_from` and `training_seed`.
+    - `record` (mapping): the fields of `magical.evaluation.Record` that it states, such as
+      `learned_from` and `training_seed`.
     - `using_threads(number)`: a context in which its network uses that many CPU threads.
     - `exact` (bool): its actions are the same on every machine, so `magical verify` expects equal
       scores wherever it runs. Those of a network are not.
@@ -93,14 +94,9 @@ def observation_for(policy: Policy, observation: Observation = None) -> Observat
 
 
 def observed(policy: Policy, observation: Observation, task: Task) -> tuple[str, bool]:
-    """What a policy is shown, as entries name it, and whether that is the true state.
+    """What a policy is shown in a task, as entries name it, and whether that is the true state.
 
     An observation without a name is named by its fields, as JSON.
-
-    Args:
-        policy: see `Policy`.
-        observation: the observation of its evaluation, as for `observation_for`.
-        task: the task that it is evaluated on.
     """
     if getattr(policy, "observation", None) == NO_OBSERVATION and not is_privileged(policy):
         return NO_OBSERVATION, False
@@ -117,11 +113,36 @@ def given_to(policy: Policy, envs: MagicalVectorEnv, observations: Any) -> Any:
     return None if getattr(policy, "observation", None) == NO_OBSERVATION else observations
 
 
+class FunctionPolicy:
+    """A policy without memory from a function `(observations, env_ids, rng) -> actions`.
+
+    Its other attributes (see `Policy`) are those of the function, or of the object whose `act` it
+    is.
+    """
+
+    def __init__(self, function: Callable[..., Any], owner: object = None) -> None:
+        self.function, self._owner = function, function if owner is None else owner
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("_"):  # for instance while it is being unpickled
+            raise AttributeError(name)
+        return getattr(self._owner, name)
+
+    def act(self, observations: Any, env_ids: Sequence[str], rng: np.random.Generator) -> Actions:
+        """Call the function."""
+        actions: Actions = self.function(observations, env_ids, rng)
+        return actions
+
+    def reset(self, mask: Mask) -> None:
+        """Nothing to reset."""
+
+
 class RandomPolicy:
     """Every action with equal probability at every step."""
 
     observation = NO_OBSERVATION
     exact = True
+    record: Mapping[str, Any] = {"learned_from": []}
 
     def act(self, observations: Any, env_ids: Sequence[str], rng: np.random.Generator) -> Actions:
         """One uniform sample for each environment."""
@@ -131,42 +152,9 @@ class RandomPolicy:
         """Nothing to reset."""
 
 
-class NoopPolicy:
+class NoopPolicy(RandomPolicy):
     """The no-op at every step: its score is that of the initial scene."""
-
-    observation = NO_OBSERVATION
-    exact = True
 
     def act(self, observations: Any, env_ids: Sequence[str], rng: np.random.Generator) -> Actions:
         """The no-op for each environment."""
         return np.full(len(env_ids), NOOP)
-
-    def reset(self, mask: Mask) -> None:
-        """Nothing to reset."""
-
-
-class FunctionPolicy:
-    """A policy without memory from a function `(observations, env_ids, rng) -> actions`.
-
-    Its other attributes (see `Policy`) are those of the function, or of the object whose `act` it
-    is.
-    """
-
-    def __init__(self, function: Callable[..., Any], owner: object = None) -> None:
-        stated = function if owner is None else owner
-        self.function = function
-        self.privileged = bool(getattr(stated, "privileged", False))
-        self.observation = getattr(stated, "observation", None)
-        self.action_space = getattr(stated, "action_space", None)
-        self.tasks = getattr(stated, "tasks", None)
-        self.in_processes = bool(getattr(stated, "in_processes", False))
-        self.modules = getattr(stated, "modules", None)
-        self.exact = bool(getattr(stated, "exact", False))
-
-    def act(self, observations: Any, env_ids: Sequence[str], rng: np.random.Generator) -> Actions:
-        """Call the function."""
-        actions: Actions = self.function(observations, env_ids, rng)
-        return actions
-
-    def reset(self, mask: Mask) -> None:
-        """Nothing to reset."""

@@ -1,7 +1,7 @@
 """How a policy is evaluated: one record, from which rollouts, entries, plans and clips are made."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from operator import attrgetter
 from typing import Any, Self
 
@@ -97,6 +97,12 @@ class Evaluation:
         return format_horizon(None if same else self.horizon)
 
     @property
+    def settings(self) -> dict[str, Any]:
+        """Everything but the environments, by name."""
+        names = (field.name for field in fields(self) if field.name != "env_ids")
+        return {name: getattr(self, name) for name in names}
+
+    @property
     def by_task(self) -> dict[str, list[EnvId]]:
         """The environments of each task, both in the given order."""
         return group_by(self.env_ids, attrgetter("task"))
@@ -106,6 +112,8 @@ class Evaluation:
 class Evaluated(Evaluation):
     """How scores were obtained: the evaluation, with the policy's observation and action space.
 
+    Two scores in an environment are averaged only if this is equal, apart from other environments.
+
     Attributes:
         action_space: the name of the policy's action space.
         privileged: whether the policy was shown the true state.
@@ -113,21 +121,6 @@ class Evaluated(Evaluation):
 
     action_space: str = DISCRETE.name
     privileged: bool = False
-
-    def on(self, env_id: EnvId) -> Self:
-        """The same in one environment, with the horizon in steps.
-
-        Two scores in an environment are averaged only if this is equal.
-        """
-        return replace(
-            self, env_ids=(env_id,), horizon=env_id.task_spec.resolve_horizon(self.horizon)
-        )
-
-    @property
-    def settings(self) -> dict[str, Any]:
-        """Everything but the environments, by name."""
-        names = (field.name for field in fields(self) if field.name != "env_ids")
-        return {name: getattr(self, name) for name in names}
 
 
 def environments(

@@ -15,14 +15,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from magical.errors import UnknownNameError
-from magical.evaluation.intervals import (
+from magical.evaluation.statistics import (
     CONFIDENCE,
     FEWEST_RUNS,
     Interval,
+    Spread,
     check_range,
     welch_interval,
 )
-from magical.evaluation.statistics import Spread
 from magical.tasks.axes import full_variant, short_variant
 
 PUBLISHED_RUNS = 5
@@ -70,30 +70,18 @@ def published_score(task: str, method: str, variant: str) -> Spread | None:
 def difference_from_published(
     means: ArrayLike, published: Spread, confidence: float = CONFIDENCE
 ) -> Interval:
-    """The mean of our runs minus the published mean, with Welch's t interval over runs.
+    """The mean of our runs' means (runs,) minus the published one, with Welch's t interval.
 
     The published tables give a standard deviation over five runs, but not its divisor; the interval
     assumes the one that makes it wider (the number of runs). There is no interval for fewer runs
-    than `FEWEST_RUNS`.
-
-    Args:
-        means: (runs,), each run's mean score in one environment, by the published code's rule.
-        published: the mean and standard deviation from the tables.
-        confidence: nominal coverage.
-
-    Raises:
-        ValueError: means of another shape or outside [0, 1], or a confidence outside (0, 1).
+    than `FEWEST_RUNS`. The means are of one environment, by the published code's rule.
     """
     ours = np.asarray(means, np.float64)
-    if ours.ndim != 1 or not ours.size:
-        raise ValueError(f"means: expected one for each run, found an array of shape {ours.shape}")
     check_range(ours)
     value = float(ours.mean()) - published.mean
     if len(ours) < FEWEST_RUNS:
         return Interval(value, math.nan, math.nan)
     published_std = max(published.std, RESOLUTION)
     variances = ours.var(ddof=1) / len(ours), published_std**2 / (PUBLISHED_RUNS - 1)
-    unbounded = -math.inf, math.inf
-    return welch_interval(
-        value, variances, (len(ours) - 1, PUBLISHED_RUNS - 1), confidence, unbounded
-    )
+    degrees = len(ours) - 1, PUBLISHED_RUNS - 1
+    return welch_interval(value, variances, degrees, confidence, (-math.inf, math.inf))

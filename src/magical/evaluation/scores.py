@@ -1,13 +1,10 @@
-"""Scores of rollouts: rows of a file, and their summaries."""
+"""Scores of rollouts: the rows of `scores.csv`, and their summaries."""
 
 import csv
-import io
 from collections.abc import Iterable, Iterator, Sequence
 from functools import lru_cache, partial
-from gzip import GzipFile
 from itertools import groupby, islice
 from operator import attrgetter
-from pathlib import Path
 from typing import IO, Any, NamedTuple
 
 import numpy as np
@@ -15,7 +12,6 @@ import numpy as np
 from magical.envs import EnvId, parse_env_id
 from magical.envs.seeds import evaluation_seed
 from magical.errors import ScoresError, UnknownNameError
-from magical.files import open_regular, reading, write_atomically
 from magical.messages import quoted
 from magical.tasks.axes import short_variant
 
@@ -35,61 +31,50 @@ MAX_ROWS = 60_000  # of an entry: 1,000 rollouts in each of sixty environments
 MAX_LINE = 2000  # characters
 
 
-def write_scores(scores: Iterable[RolloutScore], path: Path | str) -> None:
-    """Write `scores.csv`; floats are read back unchanged."""
-    with write_atomically(path) as file, io.TextIOWrapper(file, "utf-8", newline="") as text:
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(HEADER)
-        writer.writerows(scores)
+def parse_rows(
+    text: IO[str], header: Sequence[str], what: object, most: int
+) -> Iterator[tuple[list[str], RolloutScore]]:
+    """The rows of a CSV file of any origin, bounded in length and number.
 
+    Args:
+        text: the file.
+        header: its columns: any, then `HEADER`.
+        what: its path, with which messages begin.
+        most: the largest number of rows.
 
-def read_scores(path: Path | str) -> list[RolloutScore]:
-    """Read what `write_scores` wrote; raises `ScoresError` naming the line that is wrong."""
-    source = Path(path)
-    with reading(source, ScoresError), open_regular(source, follow_links=True) as file:
-        lines = read_lines(file, HEADER, path, MAX_ROWS)
-        return [parse_row(line, path, number) for number, line in enumerate(lines, 2)]
-
-
-def read_lines(
-    file: IO[bytes] | GzipFile, header: Sequence[str], path: Path | str, most: int
-) -> Iterator[list[str]]:
-    """The lines of a CSV file of any origin, after its header, bounded in length and number.
+    Yields:
+        The columns before `HEADER`, and the score.
 
     Raises:
-        ScoresError: another header, more than `most` lines, or a line that is not CSV.
+        ScoresError: another header, too many rows, or a row that is not of a rollout.
     """
-    with io.TextIOWrapper(file, "utf-8", errors="replace", newline="") as text:
-        # A longer line is read in parts, which are not valid rows.
-        lines = csv.reader(iter(partial(text.readline, MAX_LINE), ""))
-        try:
-            found = next(lines, [])
-            if tuple(found) != tuple(header):
-                shown = quoted(found) if found else "nothing"
-                raise ScoresError(f"{path}: expected the header {','.join(header)}, found {shown}")
-            yield from islice(lines, most)
-            if next(lines, None) is not None:
-                raise ScoresError(f"{path}: expected at most {most} rows, found more")
-        except csv.Error as error:
-            raise ScoresError(f"{path}: line {lines.line_num} is damaged: {error}") from error
+    # A longer line is read in parts, which are not valid rows.
+    lines = csv.reader(iter(partial(text.readline, MAX_LINE), ""))
+    extra = len(header) - len(HEADER)
+    try:
+        if tuple(found := next(lines, [])) != tuple(header):
+            shown = quoted(found) if found else "nothing"
+            raise ScoresError(f"{what}: expected the header {','.join(header)}, found {shown}")
+        for number, line in enumerate(islice(lines, most), 2):
+            yield line[:extra], _parse_row(line[extra:], f"{what}, line {number}")
+        if next(lines, None) is not None:
+            raise ScoresError(f"{what}: expected at most {most} rows, found more")
+    except csv.Error as error:
+        raise ScoresError(f"{what}: line {lines.line_num} is damaged: {error}") from error
 
 
-def parse_row(line: Sequence[str], path: Path | str, number: int) -> RolloutScore:
-    """A row of `scores.csv`; raises `ScoresError` naming the line's number."""
+def _parse_row(line: Sequence[str], what: str) -> RolloutScore:
     try:
         text, rollout, seed, score, published = line
         env_id = _parse_env_id(text)
         row = RolloutScore(env_id, int(rollout), int(seed), float(score), float(published))
     except UnknownNameError as error:  # perhaps of a task that is not installed here
-        raise ScoresError(f"{path}, line {number}: {error}") from error
+        raise ScoresError(f"{what}: {error}") from error
     except ValueError as error:
-        raise ScoresError(
-            f"{path}, line {number}: expected {','.join(HEADER)}, found {quoted(line)}"
-        ) from error
+        expected = ",".join(HEADER)
+        raise ScoresError(f"{what}: expected {expected}, found {quoted(line)}") from error
     if not (0.0 <= row.score <= 1.0 and 0.0 <= row.published_code_score <= 1.0):
-        raise ScoresError(
-            f"{path}, line {number}: expected scores from 0 to 1, found {quoted(line[3:])}"
-        )
+        raise ScoresError(f"{what}: expected scores from 0 to 1, found {quoted(line[3:])}")
     return row
 
 
@@ -103,10 +88,6 @@ def _parse_env_id(text: str) -> EnvId:
 
 def check_protocol(scores: Iterable[RolloutScore], seed: int) -> None:
     """Check that every environment has the same rollouts, each once, with the protocol's seeds.
-
-    Args:
-        scores: the scores of one evaluation.
-        seed: which set of fixed seeds it used.
 
     Raises:
         ScoresError: the message names the environment, and what is missing, duplicated or wrong.

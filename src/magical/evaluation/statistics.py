@@ -1,41 +1,33 @@
 """Statistics of scores with intervals: the paper's, and those of Agarwal et al. (2021).
 
-Most functions take `scores` (runs, environments): a row for each training run, a column for each
-environment, each entry the run's mean score there, NaN where the run was not evaluated. A
-multi-task run has a full row, a single-task run only its task's environments. `run_means` makes
-such an array.
-
-The unit of all intervals over runs is the run: its scores in several environments are those of one
-policy and vary together. Runs that were evaluated on the same environments form a stratum; strata
+`scores` (runs, environments) has a row for each training run and a column for each environment:
+the run's mean score there, or NaN. The unit of intervals over runs is the run, whose scores in
+several environments vary together. Runs evaluated in the same environments form a stratum; strata
 are independent of each other. docs/protocol.md gives the formulas and their sources.
 """
 
+import math
 from collections.abc import Iterable, Sequence
 from itertools import groupby
 from operator import attrgetter
+from statistics import NormalDist
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from magical.envs import EnvId, parse_env_id
 from magical.errors import UnknownNameError
-from magical.evaluation.intervals import (
-    CONFIDENCE,
-    Floats,
-    Interval,
-    OverRollouts,
-    check_range,
-    rollout_mean,
-    t_interval,
-    weighted_sum,
-    welch_interval,
-)
 from magical.evaluation.scores import RolloutScore
 from magical.grouping import group_by
 from magical.tasks.axes import full_variant
 
+Floats = NDArray[np.float64]
+
 RULES = ("score", "published_code_score")
+CONFIDENCE = 0.95
+FEWEST_RUNS = 3  # for an interval over runs; two often agree by chance
+TINY = 1e-12  # smaller variances are only rounding error
 ROUNDING = 1e-12  # means that differ by less are equal
 
 
@@ -46,10 +38,124 @@ class Spread(NamedTuple):
     std: float
 
 
+class Interval(NamedTuple):
+    """An estimate with its confidence interval.
+
+    `low` and `high` are NaN if there is no interval: one run, or several that do not differ, do not
+    show the spread between runs.
+    """
+
+    value: float
+    low: float
+    high: float
+
+
+class OverRollouts(Interval):
+    """An interval over rollouts: it does not include the spread between training runs."""
+
+    __slots__ = ()
+
+
+def t_interval(
+    value: float, strata: Sequence[Floats], confidence: float, bounds: tuple[float, float]
+) -> Interval:
+    """Student's t interval of a sum of contributions from independent strata.
+
+    Args:
+        value: the estimate.
+        strata: for each stratum, the contributions of its runs, (runs,); all together they sum to
+            the estimate, or differ from it by a constant.
+        confidence: nominal coverage.
+        bounds: the smallest and the largest possible value.
+
+    Returns:
+        The interval with Welch's degrees of freedom; its ends are NaN if a stratum has one run.
+    """
+    degrees = [len(stratum) - 1.0 for stratum in strata]
+    if not all(degrees):
+        return Interval(value, math.nan, math.nan)
+    variances = [len(stratum) * stratum.var(ddof=1) for stratum in strata]
+    return welch_interval(value, variances, degrees, confidence, bounds)
+
+
+def welch_interval(
+    value: float,
+    variances: ArrayLike,
+    degrees: ArrayLike,
+    confidence: float,
+    bounds: tuple[float, float],
+) -> Interval:
+    """Student's t interval of a sum of independent parts, with Welch's degrees of freedom.
+
+    `variances` (parts,) are those of the parts, `degrees` their degrees of freedom; the others are
+    as for `t_interval`.
+    """
+    from scipy.special import stdtrit  # slow to import
+
+    if not 0.0 < confidence < 1.0:
+        raise ValueError(f"confidence: expected more than 0 and less than 1, found {confidence:g}")
+    parts = np.asarray(variances, np.float64)
+    total = float(parts.sum())
+    welch = total**2 / (parts**2 / np.asarray(degrees)).sum() if total > 0.0 else 1.0
+    half = float(stdtrit(welch, (1.0 + confidence) / 2.0)) * math.sqrt(total)
+    return Interval(value, max(value - half, bounds[0]), min(value + half, bounds[1]))
+
+
+def wilson_interval(value: float, count: float, confidence: float = CONFIDENCE) -> Interval:
+    """Wilson's score interval: all p with count (value - p)^2 <= z^2 p (1 - p).
+
+    `value` is the mean of `count` independent zeros and ones; `count` may be an effective number.
+    """
+    ratio = NormalDist().inv_cdf((1.0 + confidence) / 2.0) ** 2 / count
+    centre = value + ratio / 2.0
+    root = math.sqrt(max(centre**2 - (1.0 + ratio) * value**2, 0.0))
+    low, high = (centre - root) / (1.0 + ratio), (centre + root) / (1.0 + ratio)
+    # The value is always inside; rounding must not put it outside.
+    return Interval(value, max(min(low, value), 0.0), min(max(high, value), 1.0))
+
+
+def rollout_mean(scores: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
+    """The mean of one policy's rollouts (rollouts,) in one environment, with a Wilson interval.
+
+    For scores of 0 and 1 it is Wilson's interval (1927). In general it is Wilson's for an effective
+    number of zeros and ones, whose mean has the same variance: rollouts x p (1 - p) / variance, as
+    in surveys (Korn and Graubard, 1998). If all scores are equal, that number is the number of
+    rollouts.
+    """
+    rollouts = np.asarray(scores, np.float64)
+    if rollouts.ndim != 1 or not rollouts.size:
+        raise ValueError(f"scores: expected shape (rollouts,), found {rollouts.shape}")
+    check_range(rollouts)
+    value, variance = float(rollouts.mean()), float(rollouts.var())
+    worth = value * (1.0 - value) / variance if variance > TINY else 1.0
+    return wilson_interval(value, len(rollouts) * worth, confidence)
+
+
+def weighted_sum(intervals: Sequence[Interval], weights: ArrayLike) -> Interval:
+    """A weighted sum of independent estimates by square-and-add (Newcombe, 1998).
+
+    Weights of 1 and -1 give the difference of two, weights of 1 / n the mean of n. The lower bound
+    is computed from the estimates' distances to their lower bounds where weights are positive and
+    to their upper bounds where they are negative; the upper bound the other way round.
+    """
+    values, lows, highs = np.array(intervals).T
+    factors = np.asarray(weights, np.float64)
+    below = factors * np.where(factors > 0, values - lows, values - highs)
+    above = factors * np.where(factors > 0, highs - values, lows - values)
+    value = float(factors @ values)
+    return Interval(value, value - math.hypot(*below), value + math.hypot(*above))
+
+
+def check_range(scores: Floats) -> None:
+    """Raise `ValueError` if scores are outside [0, 1]; NaN is allowed."""
+    if (outside := scores[(scores < 0.0) | (scores > 1.0)]).size:
+        raise ValueError(f"scores: expected values from 0 to 1, found {outside[0]:g}")
+
+
 def by_environment(
     rollouts: Iterable[RolloutScore], rule: str = "score"
 ) -> dict[EnvId, list[float]]:
-    """The scores of a run's rollouts by environment; `rule` as for `run_means`."""
+    """The scores of a run's rollouts by environment, by one of `RULES`."""
     if rule not in RULES:
         raise UnknownNameError(f"rule {rule!r} is unknown; expected one of: {', '.join(RULES)}")
     scores: dict[EnvId, list[float]] = {}
@@ -67,10 +173,7 @@ def run_means(
     Args:
         runs: every run's rollouts, such as `Entry.scores`.
         env_ids: the columns' environments.
-        rule: `score` or `published_code_score`.
-
-    Raises:
-        UnknownNameError: an unknown environment or rule.
+        rule: one of `RULES`.
     """
     scores = [by_environment(run, rule) for run in runs]
     ids = [parse_env_id(env_id).without_preset for env_id in env_ids]
@@ -90,13 +193,10 @@ def over_rollouts(
     It is for methods with few runs, or whose runs do not differ.
 
     Args:
-        runs: every run's rollouts, such as `Entry.scores`, with at least one in each environment.
+        runs: every run's rollouts, with at least one in each environment.
         env_ids: the environments.
         weights: (environments,), such as 1 / number of environments, or `gap_weights`.
-        rule: as for `run_means`.
-
-    Raises:
-        ValueError: an environment without a rollout.
+        rule: one of `RULES`.
     """
     scores = [by_environment(run, rule) for run in runs]
     cells, factors = [], []
@@ -130,7 +230,7 @@ def mean(scores: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
         The interval; its bounds are NaN if a stratum has one run, or if the runs do not differ.
 
     Raises:
-        ValueError: an array of another shape, scores outside [0, 1], or an all-NaN row or column.
+        ValueError: another shape, a row or a column without scores, or scores outside [0, 1].
     """
     table = _table(scores)
     return _weighted_means(table, np.full(table.shape[1], 1 / table.shape[1]), confidence)
@@ -164,7 +264,7 @@ def generalisation_gap(
     variant: str = "TestAll",
     confidence: float = CONFIDENCE,
 ) -> Interval:
-    """Demo's mean score minus TestAll's for each task, averaged over tasks.
+    """Demo's mean score minus that of a test variant for each task, averaged over tasks.
 
     Args:
         scores: (runs, environments), see the module's docstring.
@@ -207,8 +307,7 @@ def gap_weights(env_ids: Sequence[str], variant: str = "TestAll") -> Floats:
 def difference(first: ArrayLike, second: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
     """The mean of `first` minus that of `second`, with Welch's t interval over runs.
 
-    Both have shape (runs, environments) and the same columns; their runs are independent. Raises
-    `ValueError` as `mean` does, or if their numbers of columns differ.
+    Both have shape (runs, environments) and the same columns; their runs are independent.
     """
     return contrast([first, second], (1.0, -1.0), confidence)
 
@@ -218,22 +317,21 @@ def contrast(
 ) -> Interval:
     """The weighted sum of several methods' means, with Welch's t interval over runs.
 
-    With weights 1 and -1 it is the difference of two.
-
-    Args:
-        tables: the scores (runs, environments) of each method, with the same columns; their runs
-            are independent.
-        weights: the weight of each method.
-        confidence: nominal coverage of the interval.
-
-    Raises:
-        ValueError: as for `mean`, or the numbers of columns or of weights do not match.
+    `tables` are the scores (runs, environments) of each method, with the same columns; their runs
+    are independent.
     """
-    checked = _tables(tables)
-    size = checked[0].shape[1]
+    checked = list(map(_table, tables))
+    columns = [table.shape[1] for table in checked]
+    if len(set(columns)) > 1:
+        raise ValueError(
+            f"expected scores in the same environments, found {' and '.join(map(str, columns))} "
+            "columns"
+        )
     strata: list[Floats] = []
     for table, weight in zip(checked, weights, strict=True):
-        strata += _by_stratum(table, _contributions(table, np.full(size, weight / size)))
+        strata += _by_stratum(
+            table, _contributions(table, np.full(columns[0], weight / columns[0]))
+        )
     value = float(sum(stratum.sum() for stratum in strata))
     bounds = sum(w for w in weights if w < 0), sum(w for w in weights if w > 0)
     return _with_width(t_interval(value, strata, confidence, bounds))
@@ -251,18 +349,6 @@ def _table(scores: ArrayLike) -> Floats:
         raise ValueError("scores: expected a score in each row and each column, found only NaN")
     check_range(table)
     return table
-
-
-def _tables(scores: Iterable[ArrayLike]) -> list[Floats]:
-    """Scores of several methods, which must have the same columns."""
-    tables = list(map(_table, scores))
-    columns = [table.shape[1] for table in tables]
-    if len(set(columns)) > 1:
-        raise ValueError(
-            f"expected scores in the same environments, found {' and '.join(map(str, columns))} "
-            "columns"
-        )
-    return tables
 
 
 def _weighted_means(table: Floats, weights: Floats, confidence: float) -> Interval:

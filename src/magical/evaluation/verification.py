@@ -6,19 +6,17 @@ scenes, does again what it did before.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from magical.envs import EnvId
 from magical.errors import PolicyError, ScoresError
-from magical.evaluation.entry import Entry
-from magical.evaluation.intervals import CONFIDENCE, Interval, t_interval
+from magical.evaluation.entry import Entry, Record
 from magical.evaluation.policy import NO_OBSERVATION, Policy, observed
-from magical.evaluation.protocol import Evaluation
 from magical.evaluation.rollouts import evaluate_round
 from magical.evaluation.scores import RolloutScore
+from magical.evaluation.statistics import CONFIDENCE, Interval, t_interval
 from magical.grouping import group_by
 
 TOLERANCE = 1e-9  # the largest difference between equal scores
@@ -46,16 +44,16 @@ class Verification:
     def share(self) -> float:
         """The share of the entry's rollouts that were run again.
 
-        It is also the probability that one altered score would have been found, if all must be
-        equal.
+        It is also the probability that one altered score is found, if all must be equal.
         """
         return len(self.recorded) / self.total if self.total else 1.0
 
     @property
     def changes(self) -> NDArray[np.float64]:
         """The new scores minus the recorded ones, (rollouts, 2): by each scoring rule."""
-        pairs = zip(self.recorded, self.again, strict=True)
-        return np.array([np.subtract(_scores(now), _scores(old)) for old, now in pairs])
+        now = np.array([row[3:] for row in self.again])
+        changes: NDArray[np.float64] = now - np.array([row[3:] for row in self.recorded])
+        return changes
 
     @property
     def equal(self) -> int:
@@ -98,10 +96,6 @@ class Verification:
         }
 
 
-def _scores(row: RolloutScore) -> tuple[float, float]:
-    return row.score, row.published_code_score
-
-
 def verify(
     entry: Entry,
     policy: Policy,
@@ -118,16 +112,29 @@ def verify(
         policy: the policy that is said to have obtained them.
         rounds: how many of each task's rounds (`evaluate_round`) to run again.
         rng: chooses the rounds.
-        elsewhere: see `is_elsewhere`.
+        elsewhere: whether the entry was made elsewhere (`is_elsewhere`).
         workers: processes.
 
     Raises:
         PolicyError: the policy is not shown what the entry says.
         ScoresError: the two scores of a rollout differ on a task whose rules are the same.
     """
-    _check_rules(entry)
+    for env_id, rollout, _, score, published in entry.scores:
+        if env_id.task_spec.published_score_fn is None and score != published:
+            raise ScoresError(
+                f"{env_id}, rollout {rollout}: expected equal scores by both rules, which are the "
+                f"same on this task, found {score} and {published}"
+            )
     evaluation = entry.evaluation(policy)
-    _check_policy(entry, policy, evaluation)
+    shown, privileged = observed(policy, evaluation.observation, evaluation.env_ids[0].task_spec)
+    now = f"{shown}, {'' if privileged else 'not '}privileged"
+    stated = (
+        f"{entry.observation or shown}, {'' if entry.evaluated.privileged else 'not '}privileged"
+    )
+    if now != stated and shown != NO_OBSERVATION:  # which needs no more than any other
+        raise PolicyError(
+            f"expected a policy that is shown {stated}, as the entry says, found {now}"
+        )
     again: list[RolloutScore] = []
     for env_ids in evaluation.by_task.values():
         part = replace(evaluation, env_ids=tuple(env_ids))
@@ -144,46 +151,13 @@ def verify(
     return Verification(recorded, again, exact, len(entry.scores))
 
 
-def _check_rules(entry: Entry) -> None:
-    """Raise `ScoresError` if a rollout's scores differ although its task has only one rule."""
-    for env_id, rollout, _, score, published in entry.scores:
-        if env_id.task_spec.published_score_fn is None and score != published:
-            raise ScoresError(
-                f"{env_id}, rollout {rollout}: expected equal scores by both rules, which are the "
-                f"same on this task, found {score} and {published}"
-            )
+def is_elsewhere(record: Record, machine: Mapping[str, str], versions: Mapping[str, str]) -> bool:
+    """Whether an entry states another machine or other versions than the given ones.
 
-
-def is_elsewhere(
-    details: Mapping[str, Any], machine: Mapping[str, str], versions: Mapping[str, str]
-) -> bool:
-    """Whether an entry's details state another machine or other versions than the given ones.
-
-    False if they do not state both. The machine's name may differ, and there may be additional
+    False if it does not state both. The machine's name may differ, and there may be additional
     libraries now.
     """
-    stated, libraries = details.get("machine"), details.get("versions")
-    if not isinstance(stated, dict) or not isinstance(libraries, dict):
+    if not (record.machine.keys() >= machine.keys() and record.versions):
         return False
-    if not (stated.keys() >= machine.keys() and libraries):
-        return False
-    same_machine = {**stated, "name": ""} == {**machine, "name": ""}
-    return not (same_machine and libraries.items() <= versions.items())
-
-
-def _check_policy(entry: Entry, policy: Policy, evaluation: Evaluation) -> None:
-    """Raise `PolicyError` unless the policy is shown what the entry says."""
-    shown, privileged = observed(policy, evaluation.observation, evaluation.env_ids[0].task_spec)
-    if shown == NO_OBSERVATION:
-        return  # it needs no more than whatever the entry says it was shown
-    if privileged != entry.privileged:
-        words = {True: "privileged", False: "not privileged"}
-        raise PolicyError(
-            f"expected a policy that is {words[entry.privileged]}, as the entry says, found one "
-            f"that is {words[privileged]}"
-        )
-    if entry.observation and shown != entry.observation:
-        raise PolicyError(
-            f"expected a policy that is shown {entry.observation}, as the entry says, found one "
-            f"that is shown {shown}"
-        )
+    same_machine = {**record.machine, "name": ""} == {**machine, "name": ""}
+    return not (same_machine and record.versions.items() <= versions.items())

@@ -1,8 +1,8 @@
 """Tables, figures and pages, made from files; only animations also run policies.
 
 - `found`: evaluated runs in folders
-- `scores`: tables, aggregates with intervals, differences from the published rows
+- `table`: the table of all scores, and what is read from it
+- `page`: reports as HTML, Markdown and CSV
 - `figures`: plots, learning curves, rollouts as animations
-- `pages`: the results page, exported tables
-- `leaderboard`: a static site
+- `leaderboard`: checks, ranks, a static site
 """

@@ -1,11 +1,10 @@
-"""Run folders and their metrics as plain files.
+"""Run folders, their metrics and plans as plain files; what entries state about their making.
 
-This subpackage is below `learning` because training writes run folders and `report` reads them: a
-reader of a run needs neither PyTorch nor the code that made it. The only file that needs PyTorch,
-the checkpoint, belongs to `magical_baselines.checkpoints`; only its name is defined here.
+A reader of a run needs neither PyTorch nor the code that made it.
 """
 
-from magical.runs.folder import is_run, read_json, versions
+from magical.runs.folder import is_run, read_json
+from magical.runs.machine import provenance, versions
 from magical.runs.metrics import read_metrics
 
-__all__ = ["is_run", "read_json", "read_metrics", "versions"]
+__all__ = ["is_run", "provenance", "read_json", "read_metrics", "versions"]

@@ -6,24 +6,22 @@
 - `checkpoint.safetensors`: the newest checkpoint
 - `learning-curves.png`: the metrics as a picture
 - `tensorboard/`: the metrics again, on request
-- `.lock`: locked while the run is trained; holds the process id
+- `.lock`: locked while the run is trained
 """
 
-import json
-import platform
 import shutil
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from datetime import UTC, datetime
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from magical import __version__, untrusted
+from magical import untrusted
 from magical.errors import RunFolderError
-from magical.files import LOCK, OwnedFolder, write_atomically
+from magical.files import LOCK, owned
+from magical.files import write_json as write_json
 from magical.messages import printable, quoted
-from magical.plugins import distributions
+from magical.runs.machine import versions as versions
 
 CONFIG = "config.json"
 RECORD = "run.json"
@@ -31,19 +29,17 @@ METRICS = "metrics.jsonl"
 CHECKPOINT = "checkpoint.safetensors"
 CURVES = "learning-curves.png"
 TENSORBOARD = "tensorboard"
-WRITTEN = (CONFIG, RECORD, METRICS, CHECKPOINT, CURVES)  # by the holder of the lock
 
 # Settings that may change when a run is resumed. The dataset may have been moved: its contents are
 # compared instead. The others do not change the result.
 CHANGEABLE = ("demos", "workers", "log_every", "checkpoint_every")
-VERSIONED = ("torch", "numpy", "pymunk", "numba", "safetensors")  # what results may depend on
 
 
 def is_run(path: Path | str) -> bool:
     """Whether a path is a run folder."""
     try:
         return (Path(path) / CONFIG).is_file()
-    except OSError:  # such as a name that is too long
+    except (OSError, ValueError):  # such as a name that is too long, or has a null character
         return False
 
 
@@ -51,9 +47,8 @@ def is_run(path: Path | str) -> bool:
 def opened_folder(path: Path, config: Mapping[str, Any], resume: bool) -> Iterator[None]:
     """Hold the lock of a run folder for training; a new folder is created.
 
-    Reading a run needs no lock. A new run that fails before it has logged or saved anything, for
-    instance for lack of demonstrations, is removed again, so that the corrected command finds the
-    folder as it was.
+    A new run that fails before it has logged or saved anything, for instance for lack of
+    demonstrations, is removed again, so that the corrected command finds the folder as it was.
 
     Args:
         path: a new or an empty folder; with `resume`, one that holds the run.
@@ -61,42 +56,32 @@ def opened_folder(path: Path, config: Mapping[str, Any], resume: bool) -> Iterat
         resume: whether to continue an existing run.
 
     Raises:
-        RunFolderError: another process or thread trains this run; the folder holds another
-            configuration, or the same one and `resume` is false; it holds other files; there is
-            nothing to resume; the disk is full.
+        RunFolderError: another process trains this run; the folder holds another configuration, or
+            the same one and `resume` is false; it holds other files; there is nothing to resume.
     """
-    if resume and not is_run(path):
+    new = not is_run(path)
+    if resume and new:
         raise RunFolderError(f"{path}: expected a run to resume, found none")
-    existed = path.exists()
-    then = "run the same command again, with --resume if the run has begun"
-    with OwnedFolder(path, WRITTEN, RunFolderError, "trains this run", then).locked():
-        if is_run(path):
+    if new and path.exists() and not (path.is_dir() and {f.name for f in path.iterdir()} <= {LOCK}):
+        found = "other things in it" if path.is_dir() else "a file"
+        raise RunFolderError(f"{path}: expected a new or an empty folder, found {found}")
+    with owned(path, RunFolderError, "trains this run"):
+        if not new:
             _check_existing(path, config, resume)
             yield
             return
+        write_json(path / CONFIG, config)
+        write_json(path / RECORD, {"versions": versions(), "began": f"{datetime.now(UTC):%FT%TZ}"})
         try:
-            write_json(path / CONFIG, config)
-            write_json(
-                path / RECORD, {"versions": versions(), "began": f"{datetime.now(UTC):%FT%TZ}"}
-            )
             yield
         except Exception:
-            _remove_unless_begun(path, keep_folder=existed)
+            metrics = path / METRICS
+            logged = metrics.is_file() and metrics.stat().st_size > 0
+            if not logged and not (path / CHECKPOINT).exists():
+                shutil.rmtree(path / TENSORBOARD, ignore_errors=True)
+                for name in (CONFIG, RECORD, METRICS, CURVES):
+                    (path / name).unlink(missing_ok=True)
             raise
-
-
-def _remove_unless_begun(path: Path, keep_folder: bool) -> None:
-    """Remove the files of a run without metrics or checkpoints, unless there are other files."""
-    names = {file.name for file in path.iterdir()}
-    has_metrics = METRICS in names and (path / METRICS).stat().st_size > 0
-    if has_metrics or CHECKPOINT in names or names - {*WRITTEN, TENSORBOARD, LOCK}:
-        return
-    shutil.rmtree(path / TENSORBOARD, ignore_errors=True)
-    with suppress(OSError):  # Windows keeps the lock file, which is open
-        for name in (*WRITTEN, LOCK):
-            (path / name).unlink(missing_ok=True)
-        if not keep_folder:
-            path.rmdir()
 
 
 def _check_existing(path: Path, config: Mapping[str, Any], resume: bool) -> None:
@@ -123,21 +108,6 @@ def differences(wanted: Mapping[str, Any], found: Mapping[str, Any]) -> str:
     )
 
 
-def versions() -> dict[str, str]:
-    """Versions of what results may depend on: Python, this package, libraries, plug-ins."""
-    found = {"magical": __version__, "python": platform.python_version()}
-    for name in VERSIONED:
-        with suppress(metadata.PackageNotFoundError):  # an extra that is not installed
-            found[name] = metadata.version(name)
-    return {**found, **distributions()}
-
-
 def read_json(path: Path | str) -> dict[str, Any]:
     """Read a JSON object of a run; raises `RunFolderError` if it is missing or damaged."""
     return untrusted.read_json(Path(path), dict[str, Any], RunFolderError)
-
-
-def write_json(path: Path, data: Mapping[str, Any]) -> None:
-    """Write a JSON object, indented, atomically."""
-    with write_atomically(path) as file:
-        file.write((json.dumps(data, indent=2) + "\n").encode())

@@ -1,6 +1,5 @@
 """The metrics of a run: the only writer and the only reader of `metrics.jsonl`."""
 
-import io
 import json
 import math
 from collections.abc import Mapping
@@ -8,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from magical.errors import RunFolderError
-from magical.files import open_regular, write_atomically
+from magical.files import write_atomically
 from magical.messages import quoted
 from magical.runs.folder import METRICS
 from magical.untrusted import read_json_lines
@@ -24,7 +23,7 @@ class MetricsWriter:
             kept = [row for row in read_metrics(folder) if row["step"] <= step]
             with write_atomically(path) as file:
                 file.write("".join(json.dumps(row) + "\n" for row in kept).encode())
-        self._file = io.TextIOWrapper(open_regular(path, "ab"), "utf-8")
+        self._file = path.open("a", encoding="utf-8")
 
     def write(self, step: int, metrics: Mapping[str, float | str]) -> None:
         """Append a line; numbers are rounded to 6 decimals, and non-finite ones become null."""

@@ -1,4 +1,4 @@
-"""The runs of a plan as its results folder lists them (docs/experiments.md)."""
+"""The runs of a plan as its results folder lists them."""
 
 import re
 from dataclasses import dataclass, field
@@ -14,7 +14,6 @@ RUNS = "runs"  # in a results folder: the folder that holds the run folders
 REFERENCES = "references"  # in a results folder: a folder for each reference policy and task
 RESULT = "result.json"  # in a run's folder: its final record
 MAX_BYTES = 1 << 26  # of `plan.json`
-MAX_FOLDER = 255  # bytes of a folder's name: what file systems allow
 MAX_NAME = 40  # characters of a method's name in a file's name
 
 
@@ -28,17 +27,9 @@ class ListedRun:
     seed: int
     total: int
 
-    @property
-    def damage(self) -> str:
-        """What is wrong with the folder's name, which comes from a file; empty if nothing is."""
-        name = self.folder
-        too_long = len(name.encode(errors="replace")) > MAX_FOLDER
-        if Path(name).name == name and name not in ("", "..") and "\0" not in name and not too_long:
-            return ""
-        return (
-            f"damaged: {PLAN} lists it in {quoted(name, 60)}, expected a folder's name of at most "
-            f"{MAX_FOLDER} bytes"
-        )
+    def __post_init__(self) -> None:
+        if Path(self.folder).name != self.folder or "\0" in self.folder:
+            raise ValueError(f"expected a folder's name, found {quoted(self.folder)}")
 
     def __str__(self) -> str:
         """For messages, for instance `BC (ST), MoveToCorner, seed 0`."""

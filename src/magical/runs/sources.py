@@ -1,7 +1,6 @@
-"""What an entry may have learned from: the terms of `learned_from` in its details."""
+"""What a policy may have learned from: the terms of `learned_from` in entries."""
 
 from collections.abc import Iterable, Mapping
-from typing import Any
 
 from magical.errors import UnknownNameError
 from magical.messages import quoted
@@ -17,10 +16,9 @@ EXTRA_DATA = "extra data"
 OBJECT_PARSER = "object parser"
 BENCHMARK_PRIOR = "benchmark prior"
 
-# Fields of an entry's details.
+# Keys of a policy's `record`: fields of `magical.evaluation.Record`.
 LEARNED_FROM = "learned_from"
-NUM_DEMOS = "num_demos"  # demonstrations of each task that a policy learned from
-PRETRAINED_ON = "pretrained_on"  # the tasks that a network was pre-trained on
+NUM_DEMOS = "num_demos"
 
 SOURCES: Mapping[str, str] = {
     DEMONSTRATIONS: "demonstrations of the Demo variant",
@@ -36,8 +34,8 @@ SOURCES: Mapping[str, str] = {
     "fitted on scenes of test variants",
 }
 
-# Classes of what learns from Demo demonstrations: each may also use what those before it may.
-CLASSES: Mapping[str, str] = {
+# Tracks of what learns from Demo demonstrations: each may also use what those before it may.
+TRACKS: Mapping[str, str] = {
     "P": DEMONSTRATIONS,
     "R": RENDERED_STATES,
     "X": SIMULATOR,
@@ -59,30 +57,13 @@ def parse_source(name: str) -> str:
     return name
 
 
-def learning_class(names: Iterable[str]) -> str:
-    """`P`, `R`, `X` or `B`: the last of `CLASSES` whose source was used; empty for all others.
+def track_of(names: Iterable[str]) -> str:
+    """`P`, `R`, `X` or `B`: the last of `TRACKS` whose source was used; empty for all others.
 
     The others used another source, such as interaction, or no demonstrations. An object parser is
-    declared and does not change the class.
+    declared and does not change the track.
     """
     used = set(names) - {OBJECT_PARSER}
-    if DEMONSTRATIONS not in used or not used <= set(CLASSES.values()):
+    if DEMONSTRATIONS not in used or not used <= set(TRACKS.values()):
         return ""
-    return [name for name, source in CLASSES.items() if source in used][-1]
-
-
-def learned_from(details: Mapping[str, Any]) -> tuple[str, ...]:
-    """What an entry's details say it learned from, in the order of `SOURCES`.
-
-    Raises:
-        ValueError: they do not state it, or name something that is not in `SOURCES`.
-    """
-    stated = details.get(LEARNED_FROM)
-    names = stated if isinstance(stated, list) else None
-    if names is None or any(name not in SOURCES for name in map(str, names)):
-        found = "none; `evaluate --learned-from` states it" if stated is None else quoted(stated)
-        raise ValueError(
-            f"expected {LEARNED_FROM} in the details, a list of some of: {', '.join(SOURCES)}; "
-            f"found {found}"
-        )
-    return tuple(name for name in SOURCES if name in names)
+    return [name for name, source in TRACKS.items() if source in used][-1]

@@ -75,10 +75,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _report(args: argparse.Namespace, plan: "Plan") -> int:
-    from magical.evaluation.provenance import policy_of
-    from magical.report.found.search import find_results
-    from magical.report.pages.evaluated import write_page
-    from magical.report.pages.export import plain_rows
+    from magical.evaluation.loading import policy_of
+    from magical.report.found import find_results
+    from magical.report.page import plain_rows, write_page
+    from magical.report.table import rows_of
 
     found = find_results([args.out])
     conclusions, page = _conclusions(plan, found.entries), args.out / "report.html"
@@ -97,7 +97,7 @@ def _report(args: argparse.Namespace, plan: "Plan") -> int:
         print(sentence)
     print(f"{page.resolve()} shows all scores beside the published ones, and what the policies do.")
     skipped = [{"folder": str(s.folder), "reason": s.reason} for s in found.skipped]
-    print_json(args, {"rows": plain_rows(found, PUBLISHED), "skipped": skipped})
+    print_json(args, {"rows": plain_rows(rows_of(found.entries), PUBLISHED), "skipped": skipped})
     return int(bool(notes))
 
 

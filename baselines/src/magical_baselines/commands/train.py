@@ -56,7 +56,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Train, or resume."""
     from magical.errors import InvalidConfigError
-    from magical.report.figures.curves import save_learning_curves
+    from magical.report.figures import save_learning_curves
     from magical_baselines import find_algorithm, train
 
     kind = find_algorithm(args.algorithm).config

@@ -16,8 +16,8 @@ from filelock import FileLock
 
 from magical.errors import MagicalError, ScoresError
 from magical.evaluation import BUILT_IN, Entry, read_entry
+from magical.evaluation.entry import record_of
 from magical.evaluation.protocol import Evaluation
-from magical.evaluation.provenance import evaluation_details
 from magical.evaluation.rollouts import modules_for, roll_out
 from magical.files import is_out_of_space
 from magical.messages import printable
@@ -107,23 +107,23 @@ def evaluate_run(run: PlannedRun, folder: Path, out: Path, evaluation: Evaluatio
     with cpu_threads(run.config.threads):
         workers = 0 if run.config.threads == 1 else run.config.threads
         scores = roll_out(policy, evaluation, workers=workers)
-        details = {**evaluation_details(policy, str(folder), out), "preset": run.preset}
+        record = replace(record_of(policy, str(folder), out), preset=run.preset)
     if run.source.kind:  # all settings are in `result.json`
-        details["demonstrations"] += f" ({run.source})"
-    Entry.of(policy, evaluation, method=run.method, scores=scores, details=details).write(out)
+        record = replace(record, demonstrations=f"{record.demonstrations} ({run.source})")
+    Entry.of(policy, evaluation, method=run.method, scores=scores, record=record).write(out)
 
 
 def evaluate_reference(reference: PlannedReference, folder: Path) -> None:
     """Evaluate a built-in policy on a task, unless the folder has its entry already."""
     name, evaluation = reference.policy, reference.evaluation
     policy = BUILT_IN[name]()
-    details = evaluation_details(policy, name, folder)
-    entry = Entry.of(policy, evaluation, method=name, details=details)
+    record = record_of(policy, name, folder)
+    entry = Entry.of(policy, evaluation, method=name, record=record)
     try:
         found = read_entry(folder)
         done = {(row.env_id, row.rollout) for row in found.scores}
         wanted = {(env_id, i) for env_id in evaluation.env_ids for i in range(evaluation.rollouts)}
-        if done == wanted and replace(found, scores=(), details=details) == entry:
+        if done == wanted and replace(found, scores=(), record=record) == entry:
             return
     except ScoresError:
         pass

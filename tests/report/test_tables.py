@@ -1,24 +1,29 @@
 """Score tables."""
 
 import math
+from collections.abc import Sequence
 
-import numpy as np
 import pytest
 
+from magical.evaluation import Entry
 from magical.evaluation.statistics import mean
-from magical.report.found.statements import MARKS
-from magical.report.scores.methods import compared_methods
-from magical.report.scores.summaries import aggregate_table, gap_table
-from magical.report.scores.tables import (
+from magical.report.page import _colours
+from magical.report.table import (
     BESIDE,
+    MARKS,
     ONE_RUN,
     RUNS_APART,
     Cell,
     ScoreTable,
-    entry_tasks,
-    task_table,
+    rows_of,
+    summary_tables,
 )
+from magical.report.table import task_table as table_of_rows
 from tests.report.conftest import make_entry as entry
+
+
+def task_table(task: str, entries: Sequence[Entry], published: Sequence[str] = ()) -> ScoreTable:
+    return table_of_rows(task, rows_of(entries), published)
 
 
 def test_one_run_has_an_interval_over_rollouts() -> None:
@@ -48,24 +53,22 @@ def test_runs_of_a_method_share_a_row() -> None:
     assert table.note == "Scored by the appendix's rule."
 
 
-def test_rows_are_marked_with_looks_and_class() -> None:
+def test_rows_are_marked_with_test_evaluations_and_track() -> None:
     scores = {"MakeLine-Demo": [1.0], "MakeLine-TestAll": [0.5]}
-    prior = {"learned_from": ["demonstrations", "benchmark prior"], "looks": 20}
+    prior = {"learned_from": ["demonstrations", "benchmark prior"], "test_evaluations": 20}
     runs = [
-        entry("a", scores, details=prior),
-        entry("a", scores, details={"learned_from": ["demonstrations"], "looks": 0}),
-        entry("b", scores, details={"learned_from": ["demonstrations"]}),
-        entry("c", scores, details={"learned_from": ["interaction"]}),
-        entry("d", scores, details={"learned_from": ["demonstrations"]}, privileged=True),
-        entry("e", scores, details={"learned_from": "magic"}),
+        entry("a", scores, record=prior),
+        entry("a", scores, record={"learned_from": ["demonstrations"], "test_evaluations": 0}),
+        entry("b", scores, record={"learned_from": ["demonstrations"]}),
+        entry("c", scores, record={"learned_from": ["interaction"]}),
+        entry("d", scores, record={"learned_from": ["demonstrations"]}, privileged=True),
+        entry("e", scores),
     ]
     table = task_table("MakeLine", runs)
     expected = ["a† [B]", "b [P]", "c", "d", "e"]
     assert [row.label.partition(" (")[0] for row in table.rows] == expected
     assert table.note.endswith(MARKS)
-    methods = compared_methods(runs)
-    for found in (aggregate_table(methods, runs), gap_table(methods)):
-        assert found is not None
+    for found in summary_tables(rows_of(runs)):
         assert [row[0].partition(" (")[0] for row in found.rows] == expected
 
 
@@ -131,7 +134,7 @@ def test_how_often_an_interval_covers_the_mean_where_one_run_in_five_fails(
 
 def test_methods_without_the_task_have_no_row() -> None:
     entries = [entry("a", {"MakeLine-Demo": [1.0]}), entry("b", {"FindDupe-Demo": [1.0]})]
-    assert entry_tasks(entries) == ("MakeLine", "FindDupe")
+    assert rows_of(entries).tasks == ("MakeLine", "FindDupe")
     assert [row.label for row in task_table("FindDupe", entries).rows] == ["b"]
     other = entry("b", {"FindDupe-TestAll": [0.5], "MakeLine-Demo": [0.5]})  # another task's score
     (_, row) = task_table(
@@ -149,12 +152,10 @@ def test_texts_have_a_dash_where_nothing_was_evaluated() -> None:
 
 @pytest.mark.parametrize(("mean", "ink"), [(0.0, "#222"), (0.5, "#222"), (1.0, "#fff")])
 def test_colours_grow_darker_with_the_score(mean: float, ink: str) -> None:
-    background, found = Cell(mean, "").colours
-    assert found == ink
-    darker = Cell(min(mean + 0.1, 1.0), "").colours[0]
-    numbers = [sum(map(int, c[4:-1].split(","))) for c in (background, darker)]
-    assert numbers[1] <= numbers[0]
-    assert np.isfinite(numbers).all()
+    found = [_colours(Cell(value, "")) for value in (mean, min(mean + 0.1, 1.0))]
+    assert found[0].endswith(f"color:{ink}")
+    sums = [sum(map(int, text.split("(")[1].split(")")[0].split(","))) for text in found]
+    assert sums[1] <= sums[0]
 
 
 def test_nudged_runs_have_a_row_of_their_own() -> None:

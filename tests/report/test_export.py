@@ -8,8 +8,8 @@ import pytest
 from magical import cli
 from magical.errors import UnknownNameError
 from magical.evaluation import published_score
-from magical.report.pages.export import format_of, markdown
-from magical.report.scores.tables import TextTable
+from magical.report.page import format_of, markdown
+from magical.report.table import TextTable
 from tests.report.conftest import WriteEntry
 
 BC = "BC (ST)"
@@ -57,13 +57,13 @@ def test_names_are_no_formulas_of_a_spreadsheet(
     assert (row["method"], row["score"]) == (f"'{name}", "0.25")
 
 
-def test_csv_has_looks_and_class(write_entry: WriteEntry, tmp_path: Path) -> None:
-    details = {"learned_from": ["demonstrations", "simulator"], "looks": 3}
-    folder = write_entry("run", "m", {"MakeLine-Demo": [1.0]}, details=details)
+def test_csv_has_test_evaluations_and_track(write_entry: WriteEntry, tmp_path: Path) -> None:
+    record = {"learned_from": ["demonstrations", "simulator"], "test_evaluations": 3}
+    folder = write_entry("run", "m", {"MakeLine-Demo": [1.0]}, record=record)
     out = tmp_path / "table.csv"
     assert cli.main(["report", str(folder), "--out", str(out)]) == 0
     (row,) = csv.DictReader(out.read_text().splitlines())
-    assert (row["method"], row["class"], row["looks"]) == ("m", "X", "3")
+    assert (row["method"], row["track"], row["test_evaluations"]) == ("m", "X", "3")
 
 
 def test_scores_with_another_horizon_stand_beside_no_published_ones(

@@ -10,7 +10,6 @@ import pytest
 from magical.envs import EnvId, parse_env_id
 from magical.errors import PolicyError
 from magical.evaluation import (
-    Entry,
     Evaluation,
     NoopPolicy,
     Policy,
@@ -20,10 +19,9 @@ from magical.evaluation import (
     evaluate,
 )
 from magical.evaluation.rollouts import roll_out
-from magical.report.figures import reels
-from magical.report.figures.clips import record_rollouts
-from magical.report.figures.reels import extremes, record_reels
-from magical.report.found.search import Result
+from magical.report.figures import extremes, record_reels, record_rollouts
+from magical.report.found import Result
+from tests.entries import entry_of
 
 DEMO = EnvId("MoveToRegion", "Demo")
 
@@ -35,7 +33,7 @@ def rows(*scores: float) -> list[RolloutScore]:
 def test_extremes_are_chosen_by_score_then_number() -> None:
     chosen = {name: row.rollout for name, row in extremes(rows(0.5, 1.0, 0.0, 1.0, 0.2))}
     assert chosen == {"best": 3, "median": 0, "worst": 2}
-    assert [(name, row.rollout) for name, row in extremes(rows(1.0, 1.0))] == [("all", 0)]
+    assert [(name, row.rollout) for name, row in extremes(rows(1.0, 1.0))] == [("every rollout", 0)]
     assert [(name, row.rollout) for name, row in extremes(rows(0.0, 1.0))] == [
         ("best", 1),
         ("median", 0),
@@ -59,7 +57,6 @@ def test_rollouts_are_recorded_as_they_were_evaluated(
     clips = record_rollouts(RandomPolicy(), evaluation, rollouts, size=32, every=every)
     assert [clip.score for clip in clips] == [row.score for row in scores]
     assert all(clip.frames.shape == (frames, 32, 32, 3) for clip in clips)
-    assert all(clip.shown is None for clip in clips)
     if "nudge" not in settings:
         for clip, row in zip(clips, scores, strict=True):
             env = gymnasium.make(row.env_id, observation={"parts": [["allo", 1]], "size": 32})
@@ -67,25 +64,21 @@ def test_rollouts_are_recorded_as_they_were_evaluated(
             assert (clip.frames[0] != clip.frames[-1]).any()
 
 
-class Watching(NoopPolicy):
-    observation = "LoRes3EA"
-
-
 def result(policy: Policy, method: str, variant: str = "Demo") -> Result:
     ids = [parse_env_id(f"magical/MoveToRegion-{variant}-v0")]
     scores = evaluate(policy, ids, rollouts=3, workers=0)
-    return Result(Path(method), Entry(method=method, scores=scores, observation="LoRes3EA"))
+    return Result(Path(method), entry_of(method, scores))
 
 
-def test_reels_show_what_the_policy_was_shown() -> None:
-    shown, notes = record_reels([result(Watching(), "w")], lambda _: Watching(), 1)
+def test_a_reel_has_a_clip_of_every_variant() -> None:
+    shown, notes = record_reels([result(NoopPolicy(), "w")], lambda _: NoopPolicy(), 1)
     assert notes == []
-    assert [clip.caption for clip in shown[0].clips] == ["Demo, every rollout: 0.00"]
-    assert shown[0].shown.startswith("data:image/png")
-    assert "LoRes3EA" in shown[0].shown_note
+    ((uri, caption),) = shown[0].clips
+    assert uri.startswith("data:image/webp")
+    assert caption == "Demo, every rollout: 0.00"
 
 
-def test_what_is_not_shown_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_not_shown_is_said() -> None:
     results = [result(NoopPolicy(), name) for name in ("a", "b", "c")]
 
     def load(result: Result) -> Policy:
@@ -97,21 +90,16 @@ def test_what_is_not_shown_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     assert [reel.title for reel in shown] == ["b on MoveToRegion"]
     assert notes[0] == "a on MoveToRegion: no such policy"
     assert "c on MoveToRegion" in notes[1]
-    monkeypatch.setattr(reels, "MAX_BYTES", 100)
-    shown, notes = record_reels(results[1:2], load, 2)
-    assert shown == []
-    assert "to keep the page small" in notes[0]
 
 
 def test_a_score_that_is_not_the_recorded_one_is_said() -> None:
-    entry = Entry(method="m", scores=rows(0.5, 0.5))
+    entry = entry_of("m", rows(0.5, 0.5))
     shown, _ = record_reels([Result(Path("m"), entry)], lambda _: NoopPolicy(), 1)
-    assert shown[0].clips[0].caption == "Demo, every rollout: 0.00 (recorded: 0.50)"
-    assert "no image" in shown[0].shown_note
+    assert shown[0].clips[0][1] == "Demo, every rollout: 0.00 (recorded: 0.50)"
 
 
 def test_of_several_runs_the_median_one_is_shown() -> None:
-    results = [Result(Path(str(s)), Entry(method="m", scores=rows(s))) for s in (0.9, 0.1, 0.5)]
+    results = [Result(Path(str(s)), entry_of("m", rows(s))) for s in (0.9, 0.1, 0.5)]
     loaded = []
 
     def load(result: Result) -> Policy:

@@ -1,6 +1,5 @@
-"""Evaluated runs in folders, and which runs of a plan have no scores."""
+"""Evaluated runs in folders."""
 
-import json
 from pathlib import Path
 
 import pytest
@@ -8,12 +7,10 @@ import pytest
 from magical import cli
 from magical.errors import ScoresError
 from magical.evaluation import read_entry
-from magical.evaluation.collection import write_collection
-from magical.report.found import search
-from magical.report.found.search import find_results, search_results
-from magical.report.pages.evaluated import write_page
+from magical.evaluation.entry import write_collection
+from magical.report.found import find_results, search_results
+from magical.report.page import write_page
 from magical.runs.folder import write_json
-from magical.runs.plan import Listing, read_listing
 from tests.report.conftest import WriteEntry
 
 LINE = {"MakeLine-Demo": [1.0, 0.0]}
@@ -45,9 +42,9 @@ def test_an_entry_belongs_to_the_run_beside_or_around_it(
     write_entry("own", "own", LINE, seed=1)
     write_entry("around/evaluation", "around", LINE)
     write_json(tmp_path / "around" / "config.json", {"seed": 2, "tasks": ["MakeLine"]})
-    write_entry("inside", "inside", LINE)
+    write_entry("inside", "inside", LINE, record={"policy": "run"})
     write_json(tmp_path / "inside" / "run" / "config.json", {"seed": 3, "tasks": ["MakeLine"]})
-    write_entry("alone", "alone", LINE, details={"training_seed": 4})
+    write_entry("alone", "alone", LINE, record={"training_seed": 4})
     found = find_results([tmp_path])
     assert {r.entry.method: r.seed for r in found.results} == {
         "own": 1,
@@ -55,7 +52,6 @@ def test_an_entry_belongs_to_the_run_beside_or_around_it(
         "inside": 3,
         "alone": 4,
     }
-    assert found.not_evaluated == []
 
 
 def test_collections_are_read_like_folders(write_entry: WriteEntry, tmp_path: Path) -> None:
@@ -72,16 +68,6 @@ def test_collections_are_read_like_folders(write_entry: WriteEntry, tmp_path: Pa
     names = [result.folder.relative_to(tmp_path).as_posix() for result in found.results]
     assert names == ["a", "many/runs/b", "other"]
     assert [item.folder.name for item in found.skipped] == ["damaged", "old"]
-    assert found.planned == []
-
-
-def test_a_run_that_was_evaluated_elsewhere_is_not_without_an_entry(
-    write_entry: WriteEntry, tmp_path: Path
-) -> None:
-    for name in ("run", "other"):
-        write_json(tmp_path / "trained" / name / "config.json", {"seed": 0})
-    write_entry("scores", "bc", LINE, details={"policy": "../trained/run"})
-    assert find_results([tmp_path]).not_evaluated == [tmp_path / "trained" / "other"]
 
 
 def test_damaged_entries_are_skipped_by_name(write_entry: WriteEntry, tmp_path: Path) -> None:
@@ -101,7 +87,7 @@ def test_nothing_but_damaged_entries_is_an_error(write_entry: WriteEntry, tmp_pa
     (write_entry("bad", "bad", LINE) / "scores.csv").write_text("nothing")
     with pytest.raises(ScoresError, match="expected the header"):
         find_results([tmp_path])
-    with pytest.raises(ScoresError, match=r"expected a folder, found nothing"):
+    with pytest.raises(ScoresError, match="expected a folder with"):
         find_results([tmp_path / "missing"])
 
 
@@ -127,51 +113,15 @@ def test_of_two_evaluations_of_a_run_the_more_complete_one_counts(
     assert [item.folder.name for item in found.skipped] == ["a-look"]
 
 
-def test_runs_of_a_plan_may_lie_in_several_folders(write_entry: WriteEntry, tmp_path: Path) -> None:
-    for part in (0, 1):
-        scores = {"MakeLine-Demo": [0.1 * (part + 1), 0.0, 1.0]}
-        write_entry(f"part{part}/runs/run{part}", "a", scores, seed=part)
-        write_plan(tmp_path / f"part{part}", "run0", "run1", "run2")
-    planned = find_results([tmp_path / "part0", tmp_path / "part1"]).planned
-    assert planned is not None
-    assert [run.seed for run, _ in planned] == [2]
-
-
-def test_a_plan_says_which_runs_are_missing(write_entry: WriteEntry, tmp_path: Path) -> None:
+def test_runs_that_are_no_longer_of_the_plan_are_skipped(
+    write_entry: WriteEntry, tmp_path: Path
+) -> None:
     write_entry("runs/done", "a", REGION, seed=0)
-    write_json(tmp_path / "runs" / "failed" / "config.json", {"seed": 1})
-    write_json(tmp_path / "runs" / "failed" / "result.json", {"state": "failed", "error": "oh"})
-    write_json(tmp_path / "runs" / "begun" / "config.json", {"seed": 2})
-    write_plan(tmp_path, "done", "failed", "begun", "waiting", task="MoveToRegion")
+    write_plan(tmp_path, "done", "waiting", task="MoveToRegion")
     write_entry("runs/earlier", "a", REGION, seed=9)
     found = find_results([tmp_path])
     assert [result.folder.name for result in found.results] == ["done"]
     assert [item.folder.name for item in found.skipped] == ["earlier"]
-    assert found.planned is not None
-    assert [(run.method, run.tasks, run.seed, why) for run, why in found.planned] == [
-        ("a", ("MoveToRegion",), 1, "failed: oh"),
-        ("a", ("MoveToRegion",), 2, "not finished"),
-        ("a", ("MoveToRegion",), 3, "not run"),
-    ]
-
-
-@pytest.mark.parametrize("name", ["x" * 300, "é" * 200, "../..", "..", "a/b", "", "a\0b"])
-def test_a_plan_that_lists_what_is_no_folder_name_is_used_without_it(
-    name: str, write_entry: WriteEntry, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    write_entry("runs/done", "a", REGION, seed=0)
-    write_plan(tmp_path, "done", name, task="MoveToRegion")
-    found = find_results([tmp_path])
-    assert [result.folder.name for result in found.results] == ["done"]
-    assert found.planned is not None
-    ((run, why),) = found.planned
-    assert (run.seed, why.startswith("damaged: plan.json lists it in")) == (1, True)
-    write_json(tmp_path / "experiment.json", {})
-    assert cli.main(["status", str(tmp_path), "--json"]) == 0
-    shown = capsys.readouterr().out.splitlines()
-    assert json.loads(shown[-1])["failures"].keys() == {name}
-    (line,) = (line for line in shown if line.startswith("failed: "))
-    assert "expected a folder's name of at most 255 bytes" in line
 
 
 def test_escape_sequences_in_names_do_not_reach_the_terminal(
@@ -197,17 +147,8 @@ def test_escape_sequences_in_names_do_not_reach_the_terminal(
     assert "\\x1b[2Jdamaged" in capsys.readouterr().err
 
 
-def test_a_plan_without_scores_is_no_folder_to_evaluate_into(tmp_path: Path) -> None:
-    write_plan(tmp_path, "begun", "waiting")
-    write_json(tmp_path / "runs" / "begun" / "config.json", {"seed": 0})
-    with pytest.raises(ScoresError, match="none of the 2 planned runs has scores yet") as error:
-        find_results([tmp_path])
-    assert "magical evaluate" not in str(error.value)
-    assert "`magical status DIR`" in str(error.value)
-
-
 def test_a_training_run_counts_once_in_a_row(write_entry: WriteEntry, tmp_path: Path) -> None:
-    write_entry("a", "bc", LINE, seed=0, details={"date": "2050-01-01"})
+    write_entry("a", "bc", LINE, seed=0, record={"date": "2050-01-01"})
     write_entry("another-set-of-seeds", "bc", {"MakeLine-Demo": [0.0, 0.0]}, seed=0)
     write_entry("b", "bc", LINE, seed=1)  # equal scores, another run
     write_entry("nudged", "bc", LINE, seed=0, nudge=1e-9)  # another row
@@ -224,8 +165,8 @@ def test_copies_with_other_seeds_are_one_run(write_entry: WriteEntry, tmp_path: 
     telling = {"MakeLine-Demo": [i / 50 for i in range(50)]}
     perfect = {"MoveToRegion-Demo": [1.0] * 45 + [0.5] * 5}
     for seed in range(3):
-        details = {"date": f"205{3 - seed}-01-01"}
-        write_entry(f"copy{seed}", "bc", telling, seed=seed, details=details)
+        record = {"date": f"205{3 - seed}-01-01"}
+        write_entry(f"copy{seed}", "bc", telling, seed=seed, record=record)
         write_entry(f"perfect{seed}", "bc", perfect, seed=seed)
     found = find_results([tmp_path])
     names = ["copy0", "perfect0", "perfect1", "perfect2"]
@@ -242,7 +183,7 @@ def test_runs_of_other_settings_are_other_runs(write_entry: WriteEntry, tmp_path
 def test_a_policy_in_the_package_has_no_training_run(
     write_entry: WriteEntry, tmp_path: Path
 ) -> None:
-    write_entry("par", "random", LINE, details={"policy": "random"})
+    write_entry("par", "random", LINE, record={"policy": "random"})
     write_entry("par/bc", "bc", LINE, seed=7)
     by_method = {result.entry.method: result for result in find_results([tmp_path]).results}
     assert (by_method["random"].run, by_method["random"].seed) == (None, None)
@@ -287,20 +228,3 @@ def test_reference_policies_of_an_earlier_plan_are_skipped(
     write_json(tmp_path / "plan.json", {"runs": [], "references": ["noop-MakeLine"]})
     (skipped,) = search_results([tmp_path]).skipped
     assert skipped.folder.name == "random-MakeLine"
-
-
-def test_a_plan_is_read_once_whatever_the_number_of_its_runs(
-    write_entry: WriteEntry, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for seed in range(3):
-        write_entry(f"runs/run{seed}", "a", {"MakeLine-Demo": [0.1 * seed, 0.0]}, seed=seed)
-    write_plan(tmp_path, "run0", "run1", "run2")
-    read: list[Path] = []
-
-    def noted(results: Path) -> Listing:
-        read.append(results)
-        return read_listing(results)
-
-    monkeypatch.setattr(search, "read_listing", noted)
-    assert len(find_results([tmp_path]).results) == 3
-    assert read == [tmp_path]

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from magical.report.figures import curves
-from magical.report.figures.curves import curves_by_task, save_learning_curves
-from magical.report.found.search import Result
+from magical.report import figures as curves
+from magical.report.figures import curves_by_task, save_learning_curves
+from magical.report.found import Result
 from tests.report.conftest import make_entry
 
 pytest.importorskip("matplotlib", reason="the report extra is not installed")

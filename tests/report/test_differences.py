@@ -6,8 +6,14 @@ from typing import Any
 import pytest
 
 from magical.evaluation import Entry, published_score
-from magical.report.scores.differences import counterparts, differences, matching_methods
-from magical.report.scores.tables import report_tables, task_table
+from magical.report.table import (
+    counterparts,
+    differences,
+    matching_methods,
+    rows_of,
+    score_tables,
+    task_table,
+)
 from magical.tasks import get_task
 from tests.report.conftest import make_entry
 
@@ -21,11 +27,11 @@ def entry(env: str, score: float, method: str = BC, **fields: Any) -> Entry:
 def test_a_method_is_held_against_the_published_one_of_its_name() -> None:
     ours, others = entry("FindDupe-Demo", 1.0), entry("FindDupe-Demo", 1.0, "mine")
     assert matching_methods([ours, others]) == (BC,)
-    assert counterparts([ours, others], [BC]) == {BC: BC}
-    assert counterparts([ours, others], [BC, "AL (ST)"]) == {BC: BC}
-    assert counterparts([others], [BC]) == {"mine": BC}
-    assert counterparts([others], [BC, "AL (ST)"]) == {}
-    assert counterparts([ours], []) == {}
+    assert counterparts(rows_of([ours, others]), [BC]) == {BC: BC}
+    assert counterparts(rows_of([ours, others]), [BC, "AL (ST)"]) == {BC: BC}
+    assert counterparts(rows_of([others]), [BC]) == {"mine": BC}
+    assert counterparts(rows_of([others]), [BC, "AL (ST)"]) == {}
+    assert counterparts(rows_of([ours]), []) == {}
 
 
 def test_differences_are_by_the_published_rule() -> None:
@@ -48,7 +54,7 @@ def test_only_runs_with_the_published_horizon_are_compared(horizon: str, compare
 def test_runs_that_see_the_state_are_marked_and_not_compared_with_rows_of_pixels() -> None:
     run = entry("FindDupe-Demo", 1.0, "mine", observation="state")
     assert not differences(get_task("FindDupe"), [run], BC)
-    table = task_table("FindDupe", [run, entry("FindDupe-Demo", 1.0, "other")], [BC])
+    table = task_table("FindDupe", rows_of([run, entry("FindDupe-Demo", 1.0, "other")]), [BC])
     assert [row.label for row in table.rows] == [
         *("mine (sees the state)", "other", "BC (ST), published"),
     ]
@@ -60,11 +66,11 @@ def test_nudged_demo_scores_are_not_compared() -> None:
     demo, jitter = (entry(f"FindDupe-{v}", 1.0, nudge=1e-9) for v in ("Demo", "TestJitter"))
     assert not differences(task, [demo], BC)
     assert set(differences(task, [jitter], BC)) == {"Jitter"}
-    assert "except on Demo" in task_table("FindDupe", [jitter], [BC]).rows[0].note
+    assert "except on Demo" in task_table("FindDupe", rows_of([jitter]), [BC]).rows[0].note
 
 
 def test_cells_show_the_difference() -> None:
-    table = task_table("MoveToRegion", [entry("MoveToRegion-Demo", 1.0)], [BC])
+    table = task_table("MoveToRegion", rows_of([entry("MoveToRegion-Demo", 1.0)]), [BC])
     published = published_score("MoveToRegion", BC, "Demo")
     assert published is not None
     expected = f"{0.5 - published.mean:+.2f}".replace("-", "−")
@@ -78,7 +84,7 @@ def test_cells_show_the_difference() -> None:
 
 def test_tables_by_both_rules_where_they_differ() -> None:
     entries = [entry("FindDupe-Demo", 1.0), entry("FixColour-Demo", 1.0)]
-    tables = report_tables(entries, [BC])
+    tables = score_tables(rows_of(entries), [BC])
     assert [(t.task, t.published) for t in tables] == [
         ("FindDupe", False),
         ("FindDupe", True),

@@ -12,12 +12,9 @@ from PIL import Image
 from magical import cli
 from magical.envs import EnvId
 from magical.envs.seeds import evaluation_seed
-from magical.evaluation import (
-    Entry,
-    RolloutScore,
-    environments,
-)
-from magical.report.figures.clips import Clip
+from magical.evaluation import RolloutScore, environments
+from magical.report.figures import Clip
+from tests.entries import entry_of
 from tests.report.conftest import WriteEntry
 from tests.report.html_elements import Elements
 
@@ -44,7 +41,7 @@ def test_a_clip_becomes_an_animation_and_a_strip() -> None:
 def evaluated(tmp_path: Path) -> Path:
     demo = EnvId("MakeLine", "Demo")
     scores = [RolloutScore(demo, i, evaluation_seed(i), 1.0, 0.5) for i in range(3)]
-    Entry(method="mine", scores=scores, details={"demonstrations": 10}).write(tmp_path / "run")
+    entry_of("mine", scores).write(tmp_path / "run")
     return tmp_path / "run"
 
 
@@ -67,7 +64,7 @@ def test_the_report_command_names_what_is_missing(
     evaluated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert cli.main(["report", str(tmp_path / "none")]) == 1
-    assert "none: expected a folder, found nothing" in capsys.readouterr().err
+    assert "none: expected a folder with scores.csv" in capsys.readouterr().err
     assert cli.main(["report", str(evaluated), "--out", str(tmp_path)]) == 2
     assert "expected a file, found the folder" in capsys.readouterr().err
     assert cli.main(["report", str(evaluated), "--published", "BC"]) == 2
@@ -79,11 +76,11 @@ def test_the_report_of_a_folder_says_everything(
 ) -> None:
     scores = {"MoveToRegion-Demo": [1.0, 0.0], "MoveToRegion-TestAll": [0.0, 0.0]}
     for seed in (0, 1):
-        folder = write_entry(f"runs/a{seed}", "<a>", scores, seed, details={"policy": "."})
+        folder = write_entry(f"runs/a{seed}", "<a>", scores, seed, record={"policy": "."})
         rows = [json.dumps({"step": step, "loss": 1 / (step + 1)}) for step in range(20)]
         rows += ['{"step": 21, "loss": null}']
         (folder / "metrics.jsonl").write_text("\n".join(rows) + "\n")
-    write_entry("runs/b", "$b_1日本", scores, details={"policy": "noop"})
+    write_entry("runs/b", "$b_1日本", scores, record={"policy": "noop"})
     (write_entry("runs/bad", "bad", scores) / "scores.csv").write_text("bad")
     (tmp_path / "runs" / "a1" / "metrics.jsonl").write_text("bad\n")
     page = tmp_path / "page.html"

@@ -6,10 +6,15 @@ import pytest
 
 from magical.envs import EnvId
 from magical.evaluation import Entry
-from magical.evaluation.intervals import OverRollouts
-from magical.report.scores.methods import ComparedMethod, compared_methods
-from magical.report.scores.summaries import aggregate_table, gap_table
-from magical.report.scores.tables import RUNS_APART, TextTable
+from magical.evaluation.statistics import OverRollouts, gap_weights
+from magical.report.table import (
+    RUNS_APART,
+    Method,
+    TextTable,
+    compared_methods,
+    rows_of,
+    summary_tables,
+)
 from tests.report.conftest import make_entry
 
 NAMES = {
@@ -27,9 +32,9 @@ def entry(method: str, **scores: list[float]) -> Entry:
     return make_entry(method, {NAMES[name]: values for name, values in scores.items()})
 
 
-def compared(entries: list[Entry]) -> tuple[list[ComparedMethod], TextTable]:
-    methods = compared_methods(entries)
-    return methods, aggregate_table(methods, entries)
+def compared(entries: list[Entry]) -> tuple[list[Method], TextTable]:
+    rows = rows_of(entries)
+    return compared_methods(rows), summary_tables(rows)[0]
 
 
 def test_one_run_each_is_compared_over_rollouts() -> None:
@@ -81,11 +86,11 @@ def test_runs_of_single_tasks_are_strata_and_those_of_several_tasks_are_not() ->
 def test_the_generalisation_gap_is_demo_less_all_by_task() -> None:
     cells = {"line": [0.9], "line_all": [0.5], "dupe": [1.0], "dupe_all": [0.8]}
     (row,), _ = compared([entry("a", **cells)])
-    gap = row.generalisation_gap()
+    gap = row.gap()
     assert gap is not None
     assert gap.value == pytest.approx(0.3)
     (row,), _ = compared([entry("a", line=[0.9], dupe_all=[0.1])])
-    assert row.generalisation_gap() is None
+    assert row.gap() is None
 
 
 @pytest.mark.parametrize(("runs", "unit"), [(2, "rollouts of 2 runs"), (3, "3 runs")])
@@ -117,13 +122,13 @@ def test_few_runs_of_which_some_fail_are_listed() -> None:
     multi = [entry("multi", line=[s], dupe=[s], line_all=[0.0]) for s in scores]
     (row,), grid = compared(multi)
     assert grid.rows[0][2].endswith("] (0.67, 0.67, 0.00)")
-    assert row.on([DEMO]).means_apart() == " (1.00, 1.00, 0.00)"
-    assert row.gaps_apart() == " (1.00, 1.00, 0.00)"
+    assert row.on([DEMO]).apart() == " (1.00, 1.00, 0.00)"
+    assert row.apart(gap_weights(row.env_ids)) == " (1.00, 1.00, 0.00)"
     assert grid.note.endswith(RUNS_APART)
     single = [entry("single", line=[s]) for s in scores]
     single += [entry("single", dupe=[s]) for s in (1.0, 0.9, 0.8)]
     (row,), grid = compared(single)
-    assert row.means_apart() == " (MakeLine: 1.00, 1.00, 0.00)"
+    assert row.apart() == " (MakeLine: 1.00, 1.00, 0.00)"
     even = [entry("a", line=[s]) for s in (1.0, 0.9, 0.8)]
     assert RUNS_APART not in compared(even)[1].note
 
@@ -132,8 +137,8 @@ def test_only_environments_that_all_have_count() -> None:
     rows, grid = compared([entry("a", line=[1.0], dupe=[0.0]), entry("b", line=[0.0])])
     assert grid.note.startswith("Over 1 environment.")
     assert [row.mean().value for row in rows] == [1.0, 0.0]
-    assert compared_methods([entry("a", line=[1.0]), entry("b", dupe=[0.0])]) == []
-    assert compared_methods([]) == []
+    assert summary_tables(rows_of([entry("a", line=[1.0]), entry("b", dupe=[0.0])])) == []
+    assert summary_tables(rows_of([])) == []
 
 
 def test_only_environments_that_all_runs_on_a_task_have_count() -> None:
@@ -166,10 +171,9 @@ def test_gaps_have_a_column_for_each_axis_that_there_is() -> None:
         entry(method, **{name: [mean] for name, mean in zip(names, scores, strict=True)})
         for method, scores in means
     ]
-    grid = gap_table(compared_methods(entries))
-    assert grid is not None
+    _, grid = summary_tables(rows_of(entries))
     assert grid.header == ("method", "Jitter", "All")
     half = T2 * math.sqrt(0.01 / 3)  # the runs' gaps are 0.2, 0.1 and 0.0
     assert grid.rows[0][1] == f"0.10 [−{half - 0.1:.2f}, {0.1 + half:.2f}]"
     assert grid.rows[1][2].startswith("1.00 [")
-    assert gap_table(compared_methods([entry("a", line_all=[1.0])])) is None
+    assert len(summary_tables(rows_of([entry("a", line_all=[1.0])]))) == 1

@@ -1,1 +1,0 @@
-"""Plots, learning curves, scenes and rollouts as images."""

@@ -1,1 +1,0 @@
-"""Scores of methods: tables, aggregates with intervals, differences from the published rows."""
