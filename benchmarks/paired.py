@@ -32,59 +32,89 @@ def main() -> None:
     parser.add_argument("--task", default="ClusterColour")
     parser.add_argument("--seconds", type=float, default=20.0, help="of each comparison")
     arguments = parser.parse_args()
-    trees = [load(path / "src", arguments.task) for path in (arguments.before, arguments.after)]
-    for name in trees[0]:
-        compare(name, [tree[name] for tree in trees], arguments.seconds)
+    trees = [Tree(path / "src", arguments.task) for path in (arguments.before, arguments.after)]
+    for name in trees[0].starts:
+        compare(name, trees, arguments.seconds)
 
 
-def load(source: Path, task_name: str) -> dict[str, Callable[[int], Any]]:
-    """Functions that map a seed to an object with `step(action)`, from the package in a folder."""
-    for name in [name for name in sys.modules if name.partition(".")[0] == "magical"]:
-        del sys.modules[name]
-    sys.path.insert(0, str(source))
-    envs, physics, tasks, actions = (
-        import_module(f"magical.{room}")
-        for room in ("envs.env", "physics", "tasks", "scene.actions")
-    )
-    sys.path.pop(0)
+class Tree:
+    """The package in a folder.
 
-    class Simulation(physics.Simulation):  # type: ignore[misc, name-defined]
-        def step(self, action: int) -> Any:
-            super().step(actions.POINTS[action])
-            return [self.read()]
+    Attributes:
+        starts: functions that map a seed to an object with `step(action)`, by name.
+    """
 
-    def simulate(seed: int) -> Any:
-        return Simulation(*tasks.TASKS[task_name].sample("Demo", np.random.default_rng(seed)))
+    def __init__(self, source: Path, task_name: str) -> None:
+        self._modules: dict[str, Any] = {}
+        self.enter()
+        sys.path.insert(0, str(source))
+        envs, physics, tasks, actions = (
+            import_module(f"magical.{room}")
+            for room in ("envs.env", "physics", "tasks", "scene.actions")
+        )
+        sys.path.pop(0)
 
-    def observe(observation: str) -> Callable[[int], Any]:
-        env = envs.MagicalEnv(task_name, "Demo", observation=observation)
+        class Simulation(physics.Simulation):  # type: ignore[misc, name-defined]
+            def step(self, action: int) -> Any:
+                super().step(actions.POINTS[action])
+                return [self.read()]
 
-        def start(seed: int) -> Any:
-            env.reset(seed=seed)
-            return env
+        class Restarted:
+            def __init__(self, seed: int) -> None:
+                self.env = envs.MagicalEnv(task_name, "TestAll", observation="LoRes4E")
+                self.env.reset(seed=seed)
 
-        return start
+            def step(self, action: int) -> Any:
+                return self.env.reset(seed=action)
 
-    return {
-        "simulation": simulate,
-        "state only": observe("state"),
-        "with pixels": observe("LoRes4E"),
-    }
+        def simulate(seed: int) -> Any:
+            return Simulation(*tasks.TASKS[task_name].sample("Demo", np.random.default_rng(seed)))
+
+        def observe(observation: str) -> Callable[[int], Any]:
+            env = envs.MagicalEnv(task_name, "Demo", observation=observation)
+
+            def start(seed: int) -> Any:
+                env.reset(seed=seed)
+                return env
+
+            return start
+
+        self.starts = {
+            "simulation": simulate,
+            "state only": observe("state"),
+            "with pixels": observe("LoRes4E"),
+            "reset": Restarted,
+        }
+
+    def enter(self) -> None:
+        """Let imports find this tree's modules, also those within functions."""
+        global current
+        for name in [name for name in sys.modules if name.partition(".")[0] == "magical"]:
+            current[name] = sys.modules.pop(name)
+        current = self._modules
+        sys.modules.update(current)
 
 
-def compare(name: str, sides: list[Callable[[int], Any]], seconds: float) -> None:
+current: dict[str, Any] = {}  # the modules of the tree that was entered last
+
+
+def compare(name: str, trees: list[Tree], seconds: float) -> None:
     """Step both sides in turns, and print microseconds per step and their ratio."""
     rng = np.random.default_rng(0)
     times: list[list[float]] = []
     end = time.monotonic() + seconds
     while time.monotonic() < end:
-        running = [start(len(times)) for start in sides]
-        for one in running:
-            one.step(0)  # compiles
+        running = []
+        for tree in trees:
+            tree.enter()
+            running.append(tree.starts[name](len(times)))
+            running[-1].step(0)  # compiles
         for turn in range(EPISODE):
             actions = rng.integers(NUM_ACTIONS, size=TURN).tolist()
-            order = (0, 1) if turn % 2 else (1, 0)
-            spent = {side: step(running[side], actions) for side in order}
+            spent = {}
+            for side in (0, 1) if turn % 2 else (1, 0):
+                trees[side].enter()
+                spent[side] = step(running[side], actions)
             times.append([spent[side][0] for side in (0, 1)])
             assert np.array_equal(spent[0][1], spent[1][1]), "not equal"
     before, after = 1e6 / TURN * np.array(times).T

@@ -5,7 +5,7 @@ import os
 import sys
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -31,7 +31,7 @@ from magical.errors import (
 )
 from magical.messages import quoted
 from magical.observe import Observation
-from magical.observe.arrays import assign, copy_arrays, gather, map_arrays, select
+from magical.observe.arrays import copy_arrays, gather, map_arrays, select
 from magical.processes import checked_workers
 from magical.scene.poses import FIRST_BLOCK, State
 from magical.tasks import Horizon
@@ -132,6 +132,7 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         self._robots = np.zeros((count, 8), np.int64)
         self._places = np.zeros((count, most, 2), np.int64)
         self._bodies = np.zeros((count, most, 6))
+        self._used_bodies = list(self._bodies)  # without the padding
         self._counts = np.zeros(count, np.int64)
         self._ended = np.zeros(count, np.bool_)  # the episode is over
         self._threads: tuple[int, ThreadPoolExecutor] | None = None  # of which process
@@ -204,8 +205,11 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         truncations = np.zeros(self.num_envs, np.bool_)
         for row in advancing.tolist():
             env = self.envs[row]
-            with self._naming(row):
+            try:
                 rewards[row], found = env.outcome()
+            except Exception as error:
+                error.add_note(self._name(row))
+                raise
             if not env.is_running:
                 truncations[row], scores[:, row] = True, (found.score, found.published_code)
         same_step = self.autoreset_mode is AutoresetMode.SAME_STEP
@@ -216,7 +220,7 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         words = {row: self._start(row) for row in np.flatnonzero(restarting).tolist()}
         if copy is not None:
             for row in np.flatnonzero(restarting | ~acting).tolist():
-                assign(copy.rows[row], select(self._observations, row))
+                copy.fill(row)
         terminations = np.zeros(self.num_envs, np.bool_)
         infos |= self._instructions(words)
         return self._hand_out(copy), rewards, terminations, truncations, infos
@@ -225,15 +229,14 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         """Simulate and observe a step in some rows, divided among the threads."""
         from magical.physics.substeps import step_rows  # imports numba
 
-        taken = list(map(tuple, points.tolist()))
+        taken, envs, bodies = list(map(tuple, points.tolist())), self.envs, self._used_bodies
 
         def advance(part: Rows) -> None:
             step_rows(part, self._robots, self._places, points, self._bodies)
             for row in part.tolist():
-                with self._naming(row):
-                    self.envs[row].observe(taken[row], self._bodies[row, : self._counts[row]])
+                envs[row].observe(taken[row], bodies[row])
                 if copy is not None:
-                    assign(copy.rows[row], select(self._observations, row))
+                    copy.fill(row)
 
         first, *others = np.array_split(rows, self.workers)
         others = [part for part in others if len(part)]
@@ -255,11 +258,13 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         self, row: int, seed: int | None = None, options: Mapping[str, Any] | None = None
     ) -> str:
         """Start an episode in a row; returns its instruction."""
-        with self._naming(row):
-            self._counts[row] = 0  # in case it fails
-            info = self.envs[row].start(seed, options or {})
+        self._counts[row] = 0  # in case it fails
+        try:
+            words: str = self.envs[row].start(seed, options or {})["instruction"]
             self._note(row)
-        words: str = info["instruction"]
+        except Exception as error:
+            error.add_note(self._name(row))
+            raise
         return words
 
     def _note(self, row: int) -> None:
@@ -274,18 +279,13 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         self._robots[row] = env.simulation.robot
         self._places[row] = 0
         self._places[row, :count] = env.simulation.places
-        self._bodies[row, :count] = env.bodies
+        self._used_bodies[row] = self._bodies[row, :count]
+        self._used_bodies[row][:] = env.bodies
         self._counts[row], self._ended[row] = count, not env.is_running
 
-    @contextmanager
-    def _naming(self, row: int) -> Any:
-        """Errors say in which sub-environment they were raised, which then needs a reset."""
-        try:
-            yield
-        except Exception as error:
-            self._counts[row] = 0
-            error.add_note(f"in environment {row} ({self.env_ids[row]})")
-            raise
+    def _name(self, row: int) -> str:
+        """What is added to an error of a sub-environment."""
+        return f"in environment {row} ({self.env_ids[row]})"
 
     def states(self) -> list[State]:
         """The true state of every sub-environment, for experts and privileged policies."""
@@ -311,9 +311,9 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
     def set_state(self, index: int, state: Mapping[str, Any]) -> Any:
         """Continue sub-environment `index` from a saved state, as `MagicalEnv.set_state` does."""
         row = range(self.num_envs)[index]
-        with self._naming(row):
-            observation = self.envs[row].set_state(state)
-            self._note(row)
+        self._counts[row] = 0  # in case it fails
+        observation = self.envs[row].set_state(state)
+        self._note(row)
         return observation
 
     def render(self) -> tuple[Any, ...] | None:
@@ -406,12 +406,17 @@ class _Copy:
 
     def __init__(self, observations: Any, count: int) -> None:
         self._arrays = copy_arrays(observations)
-        self.rows = [select(self._arrays, row) for row in range(count)]
+        self._targets = [_leaves(select(self._arrays, row)) for row in range(count)]
+        self._sources = [_leaves(select(observations, row)) for row in range(count)]
         self._free = self._references()
 
+    def fill(self, row: int) -> None:
+        """Copy the observation of a row."""
+        for target, source in zip(self._targets[row], self._sources[row], strict=True):
+            np.copyto(target, source)
+
     def _references(self) -> list[int]:
-        arrays = self._arrays if isinstance(self._arrays, dict) else {"": self._arrays}
-        return [sys.getrefcount(array) for array in arrays.values()]
+        return [sys.getrefcount(array) for array in _leaves(self._arrays)]
 
     def is_free(self) -> bool:
         """Whether nobody holds the arrays: every view of them, at any remove, refers to them."""
@@ -420,6 +425,10 @@ class _Copy:
     def hand_out(self) -> Any:
         """Views of the arrays."""
         return map_arrays(lambda array: array[:], self._arrays)
+
+
+def _leaves(observations: Any) -> list[NDArray[Any]]:
+    return list(observations.values()) if isinstance(observations, dict) else [observations]
 
 
 def _common_preset(env_ids: Sequence[EnvId]) -> str | None:

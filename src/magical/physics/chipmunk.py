@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pymunk
+from pymunk._chipmunk_cffi import ffi, lib
 
 from magical.errors import DependencyVersionError
 
@@ -29,8 +30,6 @@ _PRIVATE = {pymunk.Space: "_space", pymunk.Body: "_body"}  # others: "_constrain
 
 def address(thing: Any) -> int:
     """The address of Chipmunk's struct for a `Space`, a `Body` or a constraint."""
-    from pymunk._chipmunk_cffi import ffi
-
     return int(ffi.cast("intptr_t", getattr(thing, _PRIVATE.get(type(thing), "_constraint"))))
 
 
@@ -41,20 +40,15 @@ def c_functions() -> dict[str, int]:
         DependencyVersionError: pymunk lacks one of them, one has other arguments, or a body has
             another layout in memory.
     """
-    try:
-        from pymunk._chipmunk_cffi import ffi, lib
-
-        functions = {name: ffi.addressof(lib, name) for name in SIGNATURES}
-        if {name: ffi.typeof(f).cname for name, f in functions.items()} == SIGNATURES:
-            body = pymunk.Body(2.0, 4.0)
-            body.position, body.velocity = (5.0, 6.0), (7.0, 8.0)
-            body.angle, body.angular_velocity = 9.0, 10.0
-            size = 8 * (POINTERS + len(LAYOUT))
-            memory = np.frombuffer(ffi.buffer(ffi.cast("char *", body._body), size))
-            if memory[POINTERS:].tolist() == LAYOUT:
-                return {name: int(ffi.cast("intptr_t", f)) for name, f in functions.items()}
-    except (ImportError, AttributeError):
-        pass
+    body = pymunk.Body(2.0, 4.0)
+    body.position, body.velocity = (5.0, 6.0), (7.0, 8.0)
+    body.angle, body.angular_velocity = 9.0, 10.0
+    size = 8 * (POINTERS + len(LAYOUT))
+    memory = np.frombuffer(ffi.buffer(ffi.cast("char *", body._body), size))
+    functions = {name: ffi.addressof(lib, name) for name in SIGNATURES if hasattr(lib, name)}
+    found = {name: ffi.typeof(function).cname for name, function in functions.items()}
+    if found == SIGNATURES and memory[POINTERS:].tolist() == LAYOUT:
+        return {name: int(ffi.cast("intptr_t", f)) for name, f in functions.items()}
     raise DependencyVersionError(
         f"expected the C functions and bodies of pymunk 7.3, found others in pymunk "
         f"{pymunk.version}; pip install 'pymunk>=7.3,<7.4'"

@@ -29,6 +29,7 @@ class Solid:
         self.kind, self.pose, self.beyond_wall = kind, AWAY, 0.0
         self.body = pymunk.Body(body_type=pymunk.Body.STATIC)
         self.body.position = AWAY[:2]
+        self.shapes: list[pymunk.Shape]
         if isinstance(kind, Region):
             self.shapes: list[pymunk.Shape] = [
                 pymunk.Poly(self.body, rectangle(kind.width, kind.height))

@@ -57,6 +57,7 @@ class Simulation:
         places = turns.copy()
         places[3:5] = turns[0]  # eyes have no position of their own
         self.places = np.stack([places, turns], axis=1)
+        self._only_row = _ROW, self.robot[None], self.places[None]
 
     def step(self, action: Sequence[float] | NDArray[np.float64]) -> NDArray[np.float64]:
         """Advance by one control step of 1/8 s.
@@ -69,7 +70,7 @@ class Simulation:
         """
         out = np.empty((1, len(self._bodies), 6))
         actions = np.array([action], np.float64)
-        self._kernels.step_rows(_ROW, self.robot[None], self.places[None], actions, out)
+        self._kernels.step_rows(*self._only_row, actions, out)
         bodies: NDArray[np.float64] = out[0]
         return bodies
 

@@ -86,6 +86,7 @@ class Renderer:
         self._pixels = np.empty(size * size, np.int32)
         self._layers, self._whole_dashes = 1 + len(scene.regions), whole_dashes
         self._frames = np.empty((len(self._bodies) + 1, 4))
+        self._thread = 0
         self._own = self._fixed_ground() if self.view == View.ALLO else None
 
     def render(self, bodies: NDArray[np.float64], out: Image) -> None:
@@ -135,16 +136,21 @@ class Renderer:
                 f"one for each block, found an array {bodies.shape}"
             )
         mine[:] = bodies[:, :3]
-        pixels = self._pixels
-        if self._own is None:  # the pixels are also the ground
-            memory = pixels, pixels, np.empty(0, np.int32), *self._shared()
-        else:
-            ground, kept, tiles = self._own
-            memory = ground, pixels, kept, tiles, *self._shared()[1:]
-        if self._render(memory, EGO if self._own is None else ALLO) < 0:
+        if self._thread != get_ident():  # whose working memory the arguments have
+            self._thread, self._arguments = get_ident(), self._make_arguments()
+        if self._compiled(mine, *self._arguments) < 0:
             raise RenderError(
                 f"expected finite poses within {FURTHEST:g} units, found {quoted(mine.tolist())}"
             )
+
+    def _make_arguments(self) -> tuple[Any, ...]:
+        pixels = self._pixels
+        if self._own is None:  # the pixels are also the ground
+            memory = pixels, pixels, np.empty(0, np.int32), *self._shared()
+            return *self._display, *memory, self._frames, self.size, EGO, self._whole_dashes
+        ground, kept, tiles = self._own
+        memory = ground, pixels, kept, tiles, *self._shared()[1:]
+        return *self._display, *memory, self._frames, self.size, ALLO, self._whole_dashes
 
     def _shared(self) -> tuple[NDArray[Any], ...]:
         """Working memory (`canvas.Canvas`), shared by all renderers of a thread.
@@ -160,12 +166,9 @@ class Renderer:
         tiles = np.empty_like(tiles)
         self._bodies[:] = 0.0
         memory = ground, self._pixels, np.empty(0, np.int32), tiles, *shared
-        count = self._render(memory, GROUND)
+        settings = self.size, GROUND, self._whole_dashes
+        count = self._compiled(self._bodies, *self._display, *memory, self._frames, *settings)
         return ground, self._pixels.copy(), tiles[:count].copy()
-
-    def _render(self, memory: tuple[NDArray[Any], ...], mode: int) -> int:
-        settings = self.size, mode, self._whole_dashes
-        return self._compiled(self._bodies, *self._display, *memory, self._frames, *settings)
 
 
 def render_frame(
