@@ -10,35 +10,24 @@ from hypothesis import strategies as st
 from magical.envs import EnvId
 from magical.envs.keys import Control
 from magical.envs.seeds import FIRST_EVALUATION_SEED
-from magical_play.messages import (
-    MAX_BYTES,
-    Keep,
-    Keys,
-    Message,
-    MessageError,
-    Press,
-    Seek,
-    Show,
-    Start,
-    Watch,
-    parse_message,
-)
+from magical_play import messages as m
+from magical_play.messages import MAX_BYTES, MessageError, parse_message
 
 ENV = "magical/FindDupe-TestAll-v0"
 VALID: dict[str, tuple[dict[str, Any], object]] = {
     "keys": (
         {"held": ["grip", "left"], "seen": 7},
-        Keys(frozenset({Control.LEFT, Control.GRIP}), 7),
+        m.Keys(frozenset({Control.LEFT, Control.GRIP}), 7),
     ),
     "start": (
         {"env_id": ENV, "seed": 3, "policy": 1},
-        Start(EnvId("FindDupe", "TestAll"), 3, 1),
+        m.Start(EnvId("FindDupe", "TestAll"), 3, 1),
     ),
-    "press": ({"button": "hand_back"}, Press("hand_back")),
-    "show": ({"view": "both", "speed": 0.5}, Show("both", 0.5)),
-    "keep": ({"demonstrator": " Ada\u3000\u200d\U0001f52c "}, Keep("Ada\u3000\u200d\U0001f52c")),
-    "watch": ({"dataset": 0, "episode": 3}, Watch(0, 3)),
-    "seek": ({"step": 4}, Seek(4)),
+    "press": ({"button": "hand_back"}, m.Press("hand_back")),
+    "show": ({"view": "both", "speed": 0.5}, m.Show("both", 0.5)),
+    "keep": ({"demonstrator": " Ada\u3000\u200d\U0001f52c "}, m.Keep("Ada\u3000\u200d\U0001f52c")),
+    "watch": ({"dataset": 0, "episode": 3}, m.Watch(0, 3)),
+    "seek": ({"step": 4}, m.Seek(4)),
 }
 
 
@@ -50,7 +39,7 @@ def test_messages_are_parsed(kind: str) -> None:
 
 def test_presets_are_left_out_and_seeds_and_policies_may_be_missing() -> None:
     fields = {"type": "start", "env_id": "FindDupe-Demo-LoRes4E-v0", "seed": None, "policy": None}
-    assert parse_message(json.dumps(fields)) == Start(EnvId("FindDupe", "Demo"), None, None)
+    assert parse_message(json.dumps(fields)) == m.Start(EnvId("FindDupe", "Demo"), None, None)
 
 
 @pytest.mark.parametrize(
@@ -91,7 +80,7 @@ def test_other_messages_are_refused(fields: dict[str, Any]) -> None:
 
 def test_a_long_message_is_refused_before_it_is_parsed() -> None:
     text = json.dumps({"type": "seek", "step": 0})
-    assert parse_message(text + " " * (MAX_BYTES - len(text))) == Seek(0)
+    assert parse_message(text + " " * (MAX_BYTES - len(text))) == m.Seek(0)
     with pytest.raises(MessageError, match="at most 1024 bytes"):
         parse_message(text + " " * (MAX_BYTES - len(text) + 1))
 
@@ -116,4 +105,4 @@ def test_any_text_is_a_message_or_refused_in_a_line(text: str) -> None:
         accepted, problem = parse_message(text), ""
     except MessageError as error:
         accepted, problem = None, str(error)
-    assert isinstance(accepted, Message) or 0 < len(problem) < 1000
+    assert isinstance(accepted, m.Message) or 0 < len(problem) < 1000

@@ -78,11 +78,15 @@ def test_malformed_messages_are_said_and_long_ones_end_the_connection(
 
 
 def test_a_lost_connection_pauses_the_episode_until_a_page_is_there_again(
-    server: RunningServer,
+    server: RunningServer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(session, "SILENCE_TIME", 60.0)
     with server.page() as page:
         page.hold("forward")
         seed = page.wait_for(lambda status: status["steps"] == 2)["seed"]
+    while server.session.phase == "playing":
+        server.get("/")  # lets time pass
+    assert server.session.phase == "paused"
     with server.page() as page:
         assert (page.status["phase"], page.status["seed"]) == ("paused", seed)
         assert page.status["steps"] >= 2

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from magical.demos import Actor, Dataset, DatasetWriter, Trajectory
+from magical.demos import Actor, Dataset, DatasetWriter
 from magical.demos.summary import replay
 from magical.envs import EnvId
 from magical.envs.keys import Control, action_of, controls_of
@@ -128,17 +128,6 @@ def test_time_left_score_and_last_action_are_shown() -> None:
     assert played().status()["facts"]["Score"] == "1.00"
 
 
-def test_views_differ_and_do_not_disturb_the_episode() -> None:
-    session = Clocked()
-    session.hold(FORWARD)
-    frames = set()
-    for view in ("allo", "ego", "both"):
-        session.handle(Show(view, 1.0), session.now)
-        frames.add(session.take_update(session.now)[-1])
-    assert len(frames) == 3
-    assert session.at == (Phase.PLAYING, 1)
-
-
 def test_starting_over_keeps_the_scene_and_drops_the_episode() -> None:
     session = Clocked(EnvId("MoveToRegion", "TestAll"))
     seed, frame = session.episode.seed, session.episode.frame("allo")
@@ -152,16 +141,6 @@ def test_starting_over_keeps_the_scene_and_drops_the_episode() -> None:
     session.hold()
     session.hold(FORWARD)
     assert session.phase == Phase.PLAYING
-
-
-def test_task_variant_and_seed_are_chosen() -> None:
-    session, chosen = Clocked(), EnvId("FindDupe", "TestAll")
-    session.send(Start(chosen, 11, None))
-    assert (session.episode.env_id, session.episode.seed) == (chosen, 11)
-    first = session.episode.frame("allo")
-    session.send(Start(chosen, None, None))
-    assert session.episode.seed != 11
-    assert session.episode.frame("allo") != first
 
 
 def test_pausing_stops_the_clock_until_the_next_key_or_until_it_is_resumed() -> None:
@@ -248,15 +227,17 @@ def test_a_finished_episode_is_not_lost_by_accident(tmp_path: Path) -> None:
     assert not len(Dataset.open(tmp_path))
 
 
-def test_a_chosen_seed_stays_until_another_scene_is_asked_for(tmp_path: Path) -> None:
-    session = Clocked(ENV, tmp_path)
-    session.send(Start(ENV, 3, None))
+def test_task_variant_and_seed_are_chosen_and_stay(tmp_path: Path) -> None:
+    session, chosen = Clocked(ENV, tmp_path), EnvId("MoveToRegion", "TestAll")
+    session.send(Start(chosen, 11, None))
+    first = session.episode.frame("allo")
     session.hold(FORWARD)
     session.finish()
     session.send(Press("discard"))
-    assert session.episode.seed == 3
-    session.send(Start(ENV, None, None))
-    assert session.episode.seed != 3
+    assert (session.episode.env_id, session.episode.seed) == (chosen, 11)
+    session.send(Start(chosen, None, None))  # another scene
+    assert session.episode.seed != 11
+    assert session.episode.frame("allo") != first
 
 
 def test_a_failure_to_store_leaves_the_episode_to_be_kept(
@@ -323,20 +304,24 @@ def test_a_key_takes_over_and_the_policy_goes_on_when_it_is_handed_back_to() -> 
     assert session.played.score == 1.0  # the expert recovered from where it was led
 
 
-def intervened(record: Path) -> Trajectory:
-    """The stored episode of an expert from which a person took over for five steps."""
-    session = watched(record)
+def test_the_expert_is_told_what_was_executed(monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[int] = []
+    monkeypatch.setattr(EpisodeExpert, "note_executed", lambda _, action: told.append(action))
+    session = watched()
+    session.step(3)
+    session.step(4, LEFT)
+    assert told == session.played.actions
+
+
+def test_an_intervention_is_recorded_as_such_and_shown(tmp_path: Path) -> None:
+    session = watched(tmp_path)
     session.step(3)
     session.step(5, LEFT, GRIP)
     session.send(Press("hand_back"))
     session.finish()
     session.send(Keep("Ada"))
     assert (session.status()["policy"], session.phase) == (0, Phase.PLAYING)  # the next episode
-    return Dataset.open(record)[0]
-
-
-def test_an_intervention_is_recorded_as_such(tmp_path: Path) -> None:
-    stored = intervened(tmp_path)
+    (stored,) = Dataset.open(tmp_path)
     assert stored.actors is not None
     assert stored.policy_actions is not None
     human = stored.actors == Actor.HUMAN
@@ -348,6 +333,13 @@ def test_an_intervention_is_recorded_as_such(tmp_path: Path) -> None:
     assert stored.is_demonstrated.all()  # the expert and the person are demonstrators both
     assert (stored.demonstrator, stored.metadata["policy"]) == ("Ada", "expert")
     assert replay(stored).departure == 0.0
+    session = Clocked(ENV, None, tmp_path)
+    session.send(Watch(0, 0))
+    first = int(np.argmax(human))
+    for step, actor in ((0, "–"), (first, "expert"), (first + 1, "human")):
+        session.send(Seek(step))
+        facts = session.status()["facts"]
+        assert (facts["Acted"], facts["By"], facts["Policy"]) == (actor, "Ada", "expert")
 
 
 def test_the_environment_waits_for_a_slow_policy_and_late_answers_have_no_effect() -> None:
@@ -434,15 +426,3 @@ def test_a_recorded_episode_plays_stops_and_is_sought(demos: Path) -> None:
     assert session.step_at - session.now == pytest.approx(STEP_TIME / 4)
     session.send(Start(ENV, 3, None))
     assert session.at == (Phase.READY, 0)
-
-
-def test_who_acted_is_shown(tmp_path: Path) -> None:
-    stored = intervened(tmp_path)
-    assert stored.actors is not None
-    session = Clocked(ENV, None, tmp_path)
-    session.send(Watch(0, 0))
-    first = int(np.argmax(stored.actors == Actor.HUMAN))
-    for step, actor in ((0, "–"), (first, "expert"), (first + 1, "human")):
-        session.send(Seek(step))
-        facts = session.status()["facts"]
-        assert (facts["Acted"], facts["By"], facts["Policy"]) == (actor, "Ada", "expert")

@@ -81,7 +81,7 @@ def outcome(number: int) -> str:
         else:
             bodies = poses.bodies
         changed = mutated_bodies(bodies, rng) if rng.integers(3) else bodies
-        (plain, searched)[rng.integers(2)](scene, changed, rng)
+        plain(scene, changed, rng)
     except MagicalError:
         return "refused"
     return "rendered"

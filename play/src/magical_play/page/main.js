@@ -31,6 +31,7 @@ function receive({ data }) {
 }
 
 function lost({ code }) {
+  latest = null;
   if (code === REPLACED) return say("Opened elsewhere. Reload to continue here.", "lost");
   say("No connection, trying again. Was the server started anew? Open the address it printed.",
     "lost");
@@ -60,7 +61,6 @@ function fillVariants(chosen) {
 
 function showOffer(message) {
   offer = message;
-  latest = null;
   input.forgetSent();
   say("Connected", "good");
   fill(element("task"), Object.keys(offer.tasks).map((name) => [name, name]));
