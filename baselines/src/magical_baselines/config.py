@@ -9,7 +9,7 @@ import dataclasses
 import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING, dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import (
@@ -249,10 +249,8 @@ class Config:
             raise InvalidConfigError(f"{what}: {error}") from error
 
 
-@cache  # each call would evaluate every annotation again
-def type_hints(kind: Any) -> dict[str, Any]:
-    """The types of the fields of a configuration class."""
-    return get_type_hints(kind, include_extras=True)
+# The types of a class's fields, cached: each call would evaluate every annotation again.
+type_hints: Callable[[Any], dict[str, Any]] = cache(partial(get_type_hints, include_extras=True))
 
 
 def options(kind: type[Config]) -> list[Field]:

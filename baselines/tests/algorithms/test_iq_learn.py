@@ -234,5 +234,4 @@ def test_paper_settings_are_the_published_codes() -> None:
     assert (iq.learning_rate, iq.gamma, iq.temperature, iq.chi2_scale) == (1e-4, 0.99, 1e-3, 0.5)
     assert (iq.batch_size, iq.buffer_size, iq.target_every) == (128, 50_000, 0)
     assert iq.bootstrap
-    assert (iq.total_steps, config.environment_steps) == (1_000_000, 1_000_000)
     assert iq.gradient_steps == iq.steps_per_update  # one step of the optimiser for each of these
