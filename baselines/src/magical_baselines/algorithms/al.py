@@ -129,11 +129,7 @@ def train(config: ALConfig, run: Run) -> None:
 def pretrain(
     config: ALConfig, run: Run, expert: ExpertData, autoencoder: "Autoencoder", optimizer: Adam
 ) -> bool:
-    """Train the autoencoder on the expert's samples.
-
-    Returns:
-        Whether the pretraining is complete; if not, the run stops.
-    """
+    """Train the autoencoder on the expert's samples; false if the run stops before the end."""
     averages = Averages()
     augmentations = config.augmentations("none" if config.published else config.augment)
     scale = autoencoder.scale**2  # the error is of pixels in the encoder's range

@@ -56,15 +56,8 @@ def fit_sequences(
 ) -> None:
     """Fit a network, the run's policy, to the demonstrations without no-ops.
 
-    Args:
-        config: the configuration of the run.
-        run: logs and saves the training, which continues from its checkpoint.
-        network: the module to train.
-        sample: returns a batch, depending only on its arguments.
-        losses: the metrics of a batch, of which `loss` is minimised.
-
-    Raises:
-        DemonstrationsError, RunFolderError: see `load_demonstrations` and `ExpertData`.
+    `sample` returns a batch, depending only on its arguments, and `losses` the metrics of a batch,
+    of which `loss` is minimised. Raises what `load_demonstrations` and `ExpertData` raise.
     """
     compute = run.compute
     data = ExpertData(
