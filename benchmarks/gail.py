@@ -3,8 +3,8 @@
     python benchmarks/gail.py --demos DEMOS [--network narrow] [--updates 4] [--rounds 5]
 
 Compares float32 and bfloat16, each with glibc's own settings and with freed memory kept
-(`learning/running/allocator.py`), which is the default on Linux. Prints each variant's median over
-the rounds, and its ratio to the first. DEMOS is a dataset with ten demonstrations of FixColour in
+(`magical_baselines/run.py`), which is the default on Linux. Prints each variant's median over the
+rounds, and its ratio to the first. DEMOS is a dataset with ten demonstrations of FixColour in
 Demo.
 """
 

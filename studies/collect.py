@@ -48,7 +48,8 @@ VARIED = ("tasks", "seed")  # settings in which runs of a method differ
 # Options that are no more, with the value that makes a run what today's are.
 LEFT: dict[str, Any] = {"init_from": "", "augment_by": "resampling", "transform": "none"}
 LEFT |= {"augment_scale": 1.0, "average_decay": 0.0}
-LEFT |= {"autoencoder": "appendix", "weight_metric": "euclidean"}
+LEFT |= {"autoencoder": "appendix", "weight_metric": "euclidean", "weight_decay": 1e-4}
+LEFT |= {"kl_weight": 10.0, "ensemble_decay": 0.01}
 DIGITS = 10  # hexadecimal digits of a digest of settings
 
 

@@ -2,10 +2,12 @@
 
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
-import numpy as np
 import pytest
 import torch
+from hypothesis import given
+from hypothesis.strategies import binary, data, integers, lists
 from safetensors import safe_open
 from torch import nn
 from torch.optim import SGD, Adam, Optimizer
@@ -66,36 +68,17 @@ def test_a_checkpoint_is_a_safetensors_file(tmp_path: Path) -> None:
     assert load_checkpoint(tmp_path / "c") == {"step": 3}
 
 
-WORDS = (b"F32", b"I64", b"shape", b"]", b"{", b",", b"9", b"-1", b"__metadata__", b"NaN", b"\x00")
-
-
-def mutant(raw: bytes, rng: np.random.Generator) -> bytes:
-    """A file with a bit flipped, cut, lengthened, with a block of zeros, or another header."""
-    start, end = sorted(rng.integers(len(raw), size=2).tolist())
-    kind = rng.integers(5)
-    if kind == 0:
-        return raw[:start] + bytes([raw[start] ^ 1 << int(rng.integers(8))]) + raw[start + 1 :]
-    if kind == 1:
-        return raw[:start]
-    if kind == 2:
-        return raw + rng.bytes(end - start + 1)
-    if kind == 3:
-        return raw[:start] + bytes(end - start) + raw[end:]
-    place = start % (8 + int.from_bytes(raw[:8], "little"))
-    return raw[:place] + WORDS[int(rng.integers(len(WORDS)))] + raw[place + end % 5 :]
-
-
-def test_mutants_are_refused_or_read(tmp_path: Path) -> None:
-    path, rng, refused = tmp_path / "c", np.random.default_rng(1), 0
-    save_checkpoint(path, {"a": {"weight": torch.rand(4, 3), "step": torch.tensor(5)}, "step": 3})
+@given(data())
+def test_damaged_bytes_are_refused_or_read(
+    tmp_path_factory: pytest.TempPathFactory, draw: Any
+) -> None:
+    path = tmp_path_factory.mktemp("damaged") / "c"
+    save_checkpoint(path, {"a": {"weight": torch.ones(4, 3), "step": torch.tensor(5)}, "step": 3})
     raw = path.read_bytes()
-    for changed in {mutant(raw, rng) for _ in range(500)} - {raw}:
-        path.write_bytes(changed)
-        try:
-            load_checkpoint(path)
-        except CheckpointError:
-            refused += 1
-    assert refused > 200
+    start, end = sorted(draw.draw(lists(integers(0, len(raw)), min_size=2, max_size=2)))
+    path.write_bytes(raw[:start] + draw.draw(binary(max_size=40)) + raw[end:])
+    with suppress(CheckpointError):
+        load_checkpoint(path)
 
 
 def test_an_older_checkpoint_stays_until_the_new_one_is_complete(

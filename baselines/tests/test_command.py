@@ -22,7 +22,6 @@ from magical.report.leaderboard import faults
 from magical.scene import Poses
 from magical.tasks import get_task, register_task, unregister_task
 from magical.tasks.registry import import_tasks
-from magical_baselines import algorithm_names
 
 TINY = ["--preset", "quick", "--batches", "4", "--batch-size", "4", "--num-demos", "2"]
 
@@ -171,7 +170,7 @@ def test_errors_say_what_to_do_and_have_status_1(
 
 
 @pytest.mark.parametrize("existed", [False, True])
-@pytest.mark.parametrize("algorithm", [name for name in algorithm_names() if name != "ppo"])
+@pytest.mark.parametrize("algorithm", ["bc", "gail"])
 def test_a_run_that_could_not_begin_leaves_no_folder(
     algorithm: str, existed: bool, demos: Path, tmp_path: Path
 ) -> None:
@@ -232,26 +231,6 @@ def test_the_run_folder_gets_a_picture_of_the_learning_curves(demos: Path, tmp_p
     pytest.importorskip("matplotlib", reason="the report extra is not installed")
     assert main(bc(demos, tmp_path / "run")) == 0
     assert (tmp_path / "run" / "learning-curves.png").read_bytes().startswith(b"\x89PNG")
-
-
-@pytest.mark.filterwarnings("error")
-def test_runs_from_elsewhere_are_evaluated_and_reported_without_warnings(
-    demos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    pytest.importorskip("matplotlib", reason="the report extra is not installed")
-    assert main(bc(demos, tmp_path / "here" / "bc")) == 0
-    there = tmp_path / "copied runs" / "_hidden" / "$1_$" / "日本" / "/".join(["long"] * 40)
-    there.parent.mkdir(parents=True)
-    (tmp_path / "here").rename(there)
-    config = there / "bc" / "config.json"
-    config.write_text(config.read_text().replace(json.dumps(str(demos)), '"D:\\\\demos"'))
-    assert "D:" in config.read_text()
-    monkeypatch.chdir(there / "bc")
-    only = ["--variants", "Demo", "--rollouts", "1", "--workers", "0"]
-    assert main(["evaluate", ".", "--out", ".", *only]) == 0
-    assert json.loads((there / "bc" / "entry.json").read_text())["method"] == "bc"
-    assert main(["report", str(there / "bc"), "--out", "page.html"]) == 0
-    assert (there / "bc" / "page.html").is_file()
 
 
 def test_without_pytorch_training_names_the_command_that_installs_it() -> None:

@@ -1,7 +1,6 @@
 """Run folders of any origin: special files, damaged records, states of other programs."""
 
 import json
-import os
 import shutil
 import sys
 from collections import Counter
@@ -57,15 +56,6 @@ def use(folder: Path, config: BCConfig) -> None:
     load_policy(folder)
     read_metrics(folder)
     train(config, folder, resume=True)
-
-
-@pytest.mark.posix
-@pytest.mark.parametrize("name", [CONFIG, RECORD, METRICS, CHECKPOINT])
-def test_special_files_are_refused(name: str, folder: Path, config: BCConfig) -> None:
-    (folder / name).unlink()
-    os.mkfifo(folder / name)
-    with pytest.raises(MagicalError, match=r"run"):
-        use(folder, config)
 
 
 def replaced(node: Any, rng: np.random.Generator) -> Any:
@@ -173,14 +163,6 @@ def test_no_command_imports_what_a_run_names(
     module = name.rpartition(":")[0]
     assert f"add to the command: --import {module} " in capsys.readouterr().err
     assert not (tmp_path / "site" / "marker").exists()
-
-
-def test_loading_a_policy_imports_nothing_that_its_run_names(folder: Path) -> None:
-    data = json.loads((folder / CONFIG).read_text())
-    (folder / CONFIG).write_text(json.dumps({**data, "observation": "unittest.__main__:main"}))
-    with pytest.raises(PluginError, match=r"--import unittest\.__main__ "):
-        load_policy(folder)
-    assert "unittest.__main__" not in sys.modules
 
 
 def test_what_the_user_imported_may_be_named(

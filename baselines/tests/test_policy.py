@@ -1,7 +1,6 @@
 """Trained networks as policies, and runs loaded again."""
 
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +12,9 @@ from torch import Tensor, nn
 from baselines.tests.conftest import TASKS
 from baselines.tests.tiny_runs import CPU
 from magical import evaluation
-from magical.envs import parse_env_id
 from magical.errors import CheckpointError, DivergedError, PolicyError, RunFolderError
-from magical.evaluation import Policy, evaluate
-from magical.evaluation.protocol import Evaluation
-from magical.observe import NAMED, PRESETS
-from magical.report.figures import record_rollouts
+from magical.evaluation import Policy
+from magical.observe import PRESETS
 from magical.runs.folder import CHECKPOINT
 from magical_baselines import NetworkPolicy, is_run, load_policy, train
 from magical_baselines.algorithms.bc import BCConfig
@@ -94,49 +90,6 @@ def test_logits_that_are_not_finite_are_an_error(bad: float, greedy: bool) -> No
     assert len(policy.act(frames, [IDS[0]] * 3, np.random.default_rng(0))) == 3
     with pytest.raises(DivergedError, match=r"expected finite outputs, found -?(nan|inf);"):
         policy.act(frames, [IDS[0], IDS[1], IDS[0]], np.random.default_rng(0))
-
-
-class Sharing:
-    """A user's policy whose tensors share the memory of what it is given."""
-
-    def __init__(self, observation: str, privileged: bool = False) -> None:
-        self.observation = observation
-        self.privileged = privileged
-
-    def reset(self, mask: Any) -> None:
-        pass
-
-    def act(self, observations: Any, env_ids: Any, rng: np.random.Generator) -> Any:
-        arrays = [observations]
-        if self.privileged:
-            arrays = [a for state in observations for a in (state.poses.bodies, state.velocities)]
-        elif isinstance(observations, dict):
-            arrays = list(observations.values())
-        for array in arrays:
-            torch.from_numpy(array)  # warns of an array that is not writeable
-        return rng.integers(18, size=len(env_ids))
-
-
-@pytest.fixture
-def every_warning() -> Iterator[None]:
-    """PyTorch gives this warning once in a process otherwise."""
-    before = torch.is_warn_always_enabled()
-    torch.set_warn_always(True)
-    yield
-    torch.set_warn_always(before)
-
-
-@pytest.mark.filterwarnings("error")
-@pytest.mark.usefixtures("every_warning")
-@pytest.mark.parametrize(
-    ("observation", "workers"),
-    [*((name, 0) for name in (*PRESETS, *NAMED, "privileged")), ("LoRes4E", 2), ("raw", 2)],
-)
-def test_users_policies_may_share_memory_with_observations(observation: str, workers: int) -> None:
-    policy = Sharing(observation, privileged=observation == "privileged")
-    evaluate(policy, IDS[:1], rollouts=2, horizon=4, workers=workers)
-    rollouts = [(parse_env_id(IDS[0]), 0)]
-    record_rollouts(policy, Evaluation.of(IDS[:1]), rollouts, size=8)
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,6 @@ import pytest
 from baselines.tests.tiny_runs import tiny
 from magical.cli import main
 from magical.errors import InvalidConfigError, MissingDependencyError
-from magical.runs import read_metrics
 from magical.runs.folder import RECORD, opened_folder, read_json
 from magical_baselines import train
 from magical_baselines.algorithms.bc import BCConfig
@@ -87,18 +86,6 @@ def test_a_session_of_wandb_continues_the_run(wandb: Wandb, begin: Callable[[str
     assert wandb.opened[2]["id"] != first["id"]
 
 
-@pytest.mark.filterwarnings("default")  # the library's own
-def test_wandb_itself(
-    begin: Callable[[str], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    pytest.importorskip("wandb")
-    monkeypatch.setenv("WANDB_MODE", "offline")
-    monkeypatch.chdir(tmp_path)
-    log_twice("wandb", begin("run"))
-    files = list((tmp_path / "wandb").glob("offline-run-*/run-*.wandb"))
-    assert any(b"loss" in file.read_bytes() for file in files)
-
-
 def test_tensorboard_gets_the_metrics(begin: Callable[[str], Path]) -> None:
     pytest.importorskip("tensorboard")
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
@@ -115,15 +102,6 @@ def test_an_unknown_tracker_is_refused() -> None:
         opened_trackers(["aim"], SimpleNamespace()),
     ):
         pass
-
-
-def test_training_logs_every_line(wandb: Wandb, demos: Path, tmp_path: Path) -> None:
-    config = tiny(BCConfig, tasks=("MoveToCorner",), demos=str(demos))
-    train(config, tmp_path / "run", track=["wandb"])
-    rows = read_metrics(tmp_path / "run")
-    assert [step for step, _ in wandb.logged] == [row["step"] for row in rows] != []
-    losses = [metrics["loss"] for _, metrics in wandb.logged]
-    assert losses == pytest.approx([row["loss"] for row in rows], abs=1e-6)
 
 
 def test_the_command_names_the_missing_library_and_leaves_no_folder(

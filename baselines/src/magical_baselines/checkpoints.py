@@ -41,14 +41,9 @@ class Stateful(Protocol):
 
 
 def save_checkpoint(path: Path, state: StateDict) -> None:
-    """Write a state dict; an older file at `path` stays intact until the new one is complete.
+    """Write nested dicts and lists of tensors and plain values; raises `OSError`.
 
-    Args:
-        path: the file.
-        state: nested dicts and lists of tensors and plain values.
-
-    Raises:
-        OSError: the file cannot be written, or the disk is full.
+    An older file at `path` stays intact until the new one is complete.
     """
     tensors: dict[str, Tensor] = {}
     plain = _take_tensors(state, "", tensors)

@@ -53,11 +53,7 @@ class Compute:
 
 
 def read_compute(record: Mapping[str, Any], folder: Path) -> Compute | None:
-    """The device, precision and threads recorded for a run; `None` if not recorded yet.
-
-    Raises:
-        RunFolderError: the record is damaged.
-    """
+    """The compute recorded for a run; `None` if not yet; raises `RunFolderError` if damaged."""
     recorded = record.get("compute")
     what = f"{folder / RECORD}: compute"
     return None if recorded is None else convert(recorded, Compute, what, RunFolderError)
@@ -89,11 +85,8 @@ def choose_compute(device: Device, precision: str, threads: int) -> Compute:
     Nothing is measured, so the same configuration gives the same weights on the same machine,
     whatever else runs on it.
 
-    Args:
-        device: `cpu` or `cuda`.
-        precision: `float32`, `bfloat16`, or `auto`: bfloat16 if the device has instructions for it.
-        threads: number of CPU threads; 0: PyTorch's own number, which is one per physical core
-            unless the environment (`OMP_NUM_THREADS`) or the program sets another.
+    The precision may be `auto`: bfloat16 if the device has instructions for it. 0 threads are
+    PyTorch's own number, by default one per physical core.
     """
     low = precision == "bfloat16" or (precision == "auto" and has_bfloat16(device))
     if device == "cpu":
@@ -102,13 +95,10 @@ def choose_compute(device: Device, precision: str, threads: int) -> Compute:
 
 
 def has_bfloat16(device: str) -> bool:
-    """Whether `cpu` or `cuda` has instructions for multiplying bfloat16 matrices.
-
-    False on a CPU whose newer instructions are switched off by `ATEN_CPU_CAPABILITY`.
-    """
+    """Whether `cpu` or `cuda` has instructions for multiplying bfloat16 matrices."""
     if device == "cuda":
         return bool(torch.cuda.is_bf16_supported(including_emulation=False))
-    if torch.backends.cpu.get_cpu_capability() in OLDER_INSTRUCTIONS:
+    if torch.backends.cpu.get_cpu_capability() in OLDER_INSTRUCTIONS:  # chosen by the environment
         return False
     # Missing from some supported versions of PyTorch.
     abilities: Mapping[str, Any] = getattr(torch.cpu, "get_capabilities", dict)()

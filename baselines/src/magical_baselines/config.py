@@ -9,7 +9,7 @@ import dataclasses
 import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING, dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import (
@@ -69,21 +69,15 @@ def option(
     """A configuration field.
 
     Args:
-        default: the published setting; `MISSING` if there is none and one has to be given.
-        text: one line of command-line help.
-        metavar: the placeholder for the value in command-line help.
+        default: the published setting; `MISSING` if one has to be given.
+        text: one line of command-line help; `metavar` is the value's placeholder there.
+        metavar: see `text`.
         plugins: the group of entry points whose names are allowed, as is `module:NAME`.
-        known: other names that are allowed beside those of the entry points.
+        known: other names that are allowed.
         parse: called with the value; raises an error unless it is allowed.
     """
-    metadata = {
-        "help": text,
-        "metavar": metavar,
-        "plugins": plugins,
-        "known": known,
-        "parse": parse,
-    }
-    return dataclasses.field(default=default, metadata=metadata)
+    how = {"help": text, "metavar": metavar, "plugins": plugins, "known": known, "parse": parse}
+    return dataclasses.field(default=default, metadata=how)
 
 
 def augment_option(default: str, images: str = "images") -> Any:
@@ -202,9 +196,7 @@ class Config:
     def preset(cls, name: str, /, **settings: Any) -> Self:
         """The configuration of a preset, with some settings replaced.
 
-        Raises:
-            UnknownNameError: an unknown preset or setting.
-            InvalidConfigError: missing or invalid settings.
+        Raises `UnknownNameError` or `InvalidConfigError`.
         """
         if name not in cls.presets:
             raise UnknownNameError(
@@ -234,14 +226,9 @@ class Config:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], what: str = "configuration") -> Self:
-        """The inverse of `to_dict`.
+        """The inverse of `to_dict`, which checks the data; raises `InvalidConfigError`.
 
-        Args:
-            data: the settings; checked here, as they may come from an untrusted file.
-            what: where the data came from, for error messages.
-
-        Raises:
-            InvalidConfigError: unknown, missing or invalid settings.
+        `what` says where the data came from, for error messages.
         """
         try:
             return cls._of(data)
@@ -249,18 +236,12 @@ class Config:
             raise InvalidConfigError(f"{what}: {error}") from error
 
 
-@cache  # each call would evaluate every annotation again
-def type_hints(kind: Any) -> dict[str, Any]:
-    """The types of the fields of a configuration class."""
-    return get_type_hints(kind, include_extras=True)
+# The types of a class's fields, cached: each call would evaluate every annotation again.
+type_hints: Callable[[Any], dict[str, Any]] = cache(partial(get_type_hints, include_extras=True))
 
 
 def options(kind: type[Config]) -> list[Field]:
-    """The fields that are options, in order: `name`, `default`, and the help in `metadata`.
-
-    Raises:
-        PluginError: another field than `algorithm` was not made by `option`.
-    """
+    """All fields but `algorithm`; raises `PluginError` for one that was not made by `option`."""
     fields = [field for field in dataclasses.fields(kind) if field.name != "algorithm"]
     for field in fields:
         if not field.metadata:
@@ -279,10 +260,8 @@ def _plain(value: Any, hint: Any) -> Any:
 
 
 def _unknown(what: str, name: str, known: Iterable[str]) -> UnknownNameError:
-    return UnknownNameError(
-        f"{what} {quoted(name)} is unknown; expected one of: {', '.join(known)}"
-        + ("" if what == "setting" else "; or module:NAME")
-    )
+    text = f"{what} {quoted(name)} is unknown; expected one of: {', '.join(known)}"
+    return UnknownNameError(text if what == "setting" else f"{text}; or module:NAME")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -370,10 +349,7 @@ class DemonstrationConfig(Config):
     @property
     def training_details(self) -> dict[str, Any]:
         """See `Config`."""
-        found = {
-            "demonstrations": f"{self.num_demos} of each task",
-            NUM_DEMOS: self.num_demos,
-        }
+        found = {"demonstrations": f"{self.num_demos} of each task", NUM_DEMOS: self.num_demos}
         return {**super().training_details, **found}
 
 
@@ -421,10 +397,7 @@ def algorithm_names() -> list[str]:
 def find_algorithm(name: str) -> Algorithm:
     """An algorithm by name, or by `module:NAME`.
 
-    Raises:
-        UnknownNameError: there is no algorithm of this name.
-        PluginError: the algorithm is a plugin that cannot be imported, or is not an `Algorithm`.
-        MissingDependencyError: PyTorch is not installed.
+    Raises `UnknownNameError`, `PluginError` or, without PyTorch, `MissingDependencyError`.
     """
     return _ALGORITHMS.get(name)
 
@@ -439,7 +412,6 @@ def read_config(folder: Path | str, given: Mapping[str, Any] = MappingProxyType(
     Raises:
         RunFolderError: the record is missing, damaged, or names an unknown algorithm.
         PluginError: the record names an object of a module that the user has not imported.
-        MissingDependencyError: PyTorch is not installed.
         InvalidConfigError: the settings are invalid.
     """
     path = Path(folder) / CONFIG

@@ -39,9 +39,7 @@ class Demonstrations(NamedTuple):
 def load_demonstrations(config: DemonstrationConfig, run: Run) -> TaskTrajectories:
     """Sample the demonstrations that the configuration asks for, and record them in `run.json`.
 
-    Raises:
-        RunFolderError: the run was started with other demonstrations.
-        DemonstrationsError, DatasetError: see `sample_demonstrations`.
+    Raises what `sample_demonstrations` and `Run.describe` raise.
     """
     found = sample_demonstrations(
         config.demos, config.tasks, config.num_demos, config.seed, config.action_space
@@ -64,8 +62,8 @@ def sample_demonstrations(
 
     Args:
         path: the dataset's folder.
-        tasks: the tasks' names.
-        count: the number of demonstrations of each task.
+        tasks: the tasks' names, with `count` demonstrations of each.
+        count: see `tasks`.
         seed: the run's seed.
         action_space: the action space that their actions are converted to.
 
@@ -119,20 +117,12 @@ class ExpertData:
         remove_noops: bool = False,
         transitions: bool = False,
     ) -> None:
-        """Read the trajectories.
+        """Read demonstrations, each with the name of its task, one of `task_names`.
 
-        Args:
-            demonstrations: the task name and the trajectory of each.
-            task_names: all tasks, in the configuration's order.
-            spec: the specification of the observations.
-            device: where samples are stored.
-            remove_noops: leave out samples whose action is the no-op.
-            transitions: leave out samples whose executed action is not the label, as their next
-                observations result from another action.
-
-        Raises:
-            DemonstrationsError: a task has no samples left; steps in which a watched policy acted
-                on its own are always left out.
+        Steps in which a watched policy acted on its own are left out, with `remove_noops` those
+        whose action is the no-op, and for `transitions` those whose executed action is not the
+        label, as their next observations result from another action. Raises `DemonstrationsError`
+        if a task has no samples left.
         """
         names, trajectories = zip(*demonstrations, strict=True)
         self.device = device

@@ -53,14 +53,9 @@ class Trunk(nn.Module):
             network: the architecture's name.
             input_shape: (C, H, W) of images or (size,) of state vectors.
             batch_norm: use batch norm in the convolutions.
-            action_input: how actions are joined: "one-hot", "embedding", or "none" if `forward`
-                takes no actions.
+            action_input: how actions are joined, a key of `JOINED`.
             num_features: replaces the last linear layer's size.
             pixel_range: the range that images in [0, 1] are mapped to.
-
-        Raises:
-            UnknownNameError: no such architecture.
-            PluginError: the architecture has no linear layers.
         """
         super().__init__()
         architecture = find_network(network)

@@ -41,15 +41,11 @@ class TrainedPolicy:
     def __init__(
         self, network: nn.Module, config: Config, compute: Compute, greedy: bool = False
     ) -> None:
-        """Create a policy.
+        """Create a policy that acts as its training configuration says.
 
-        Args:
-            network: takes observations (B, ...) and tasks (B,). Pixels are first scaled to [0, 1],
-                unless the network's attribute `takes_pixels` is true.
-            config: the configuration of its training: tasks, observation and action space.
-            compute: device and precision.
-            greedy: take the most probable action instead of sampling; has no effect on continuous
-                actions.
+        The network takes observations (B, ...) and tasks (B,). Pixels are first scaled to [0, 1],
+        unless its attribute `takes_pixels` is true. A `greedy` policy takes the most probable
+        discrete action instead of sampling.
         """
         self.network = network.eval()
         self.config = config
@@ -154,11 +150,7 @@ def sample_actions(
 
 
 def to_inputs(observations: Any, spec: ObservationSpec) -> Tensor:
-    """Convert an environment's observations to a network's input, which shares their memory.
-
-    Raises:
-        PolicyError: their shape or type differs from the specification.
-    """
+    """An environment's observations as a network's input, in the same memory; `PolicyError`."""
     try:
         return torch.from_numpy(spec.network_input(observations))
     except ObservationError as error:
@@ -168,11 +160,8 @@ def to_inputs(observations: Any, spec: ObservationSpec) -> Tensor:
 def load_policy(run: Path | str, device: str = "auto", greedy: bool = False) -> TrainedPolicy:
     """Load the policy from the newest checkpoint of a run folder.
 
-    Args:
-        run: the run folder.
-        device: `auto`, `cpu` or `cuda`.
-        greedy: take the most probable action instead of sampling. Has no effect on policies with
-            continuous actions: `diffusion` always samples, `act` with such actions never does.
+    A `greedy` one takes the most probable action instead of sampling, which has no effect on
+    continuous actions: `diffusion` always samples, `act` with such actions never does.
 
     Raises:
         RunFolderError: the folder is not a run folder, or is damaged.

@@ -10,8 +10,12 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from magical.observe import ObservationSpec
+from magical_baselines.augmentation.augment import augment
+from magical_baselines.augmentation.names import Augmentations
 from magical_baselines.checkpoints import StateDict
-from magical_baselines.data import ExpertData
+from magical_baselines.config import DemonstrationConfig
+from magical_baselines.data import ExpertData, load_demonstrations, split_evenly
+from magical_baselines.training import Run
 
 Numbers = NDArray[np.int64]
 
@@ -25,9 +29,13 @@ class Transitions(NamedTuple):
     ends: Tensor  # (B,) bool, whether the time limit ends the episode with s'
     tasks: Tensor  # (B,) int64, positions in the configuration's tasks
 
-    def join(self, others: "Transitions") -> "Transitions":
-        """These transitions, followed by others."""
-        return Transitions(*(torch.cat(pair) for pair in zip(self, others, strict=True)))
+    def augmented(self, which: Augmentations, rng: np.random.Generator) -> "Transitions":
+        """With augmented images, those of s and of s' independently."""
+        before, after = self.observations, self.next_observations
+        observations = augment(before, which, rng)
+        return self._replace(
+            observations=observations, next_observations=augment(after, which, rng)
+        )
 
 
 def expert_transitions(
@@ -39,6 +47,26 @@ def expert_transitions(
     ends = expert.ends[torch.from_numpy(rows).to(expert.device)]
     following = expert.images(rows, following=True)
     return Transitions(expert.images(rows), actions, following, ends, tasks)
+
+
+def load_expert_transitions(config: DemonstrationConfig, run: Run) -> ExpertData:
+    """The demonstrated transitions of a run; raises what `load_demonstrations` raises."""
+    return ExpertData(
+        load_demonstrations(config, run),
+        config.tasks,
+        config.observation_spec,
+        device=run.compute.device,
+        transitions=True,
+    )
+
+
+def sample_halves(
+    expert: ExpertData, novice: "ReplayBuffer", size: int, num_tasks: int, rng: np.random.Generator
+) -> Transitions:
+    """Demonstrated transitions, then as many of the policy; the tasks' shares are even."""
+    counts = split_evenly(size // 2, num_tasks, rng)
+    halves = expert_transitions(expert, counts, rng), novice.sample(counts, rng)
+    return Transitions(*map(torch.cat, zip(*halves, strict=True)))
 
 
 class ReplayBuffer:
@@ -54,13 +82,10 @@ class ReplayBuffer:
     def __init__(
         self, spec: ObservationSpec, like: Sequence[Tensor], capacity: int, num_tasks: int
     ) -> None:
-        """Create an empty buffer.
+        """Create an empty buffer for `capacity` frames.
 
-        Args:
-            spec: the specification of the observations.
-            like: each component's frames, (any number, channels, ...), on the buffer's device.
-            capacity: frames.
-            num_tasks: number of tasks.
+        The frames of each component of the observation are like those in `like`, (F, channels,
+        ...), on the same device.
         """
         self._spec, self._capacity, self._num_tasks = spec, capacity, num_tasks
         self._frames = [part.new_zeros((capacity, *part.shape[1:])) for part in like]
@@ -202,12 +227,7 @@ class RecentRollouts:
     def sample(
         self, counts: Sequence[int], rng: np.random.Generator
     ) -> tuple[Tensor, Tensor, Tensor]:
-        """Sample observations, actions and tasks, `counts[k]` of task k, with replacement.
-
-        Returns:
-            Observations (B, ...), actions (B,) int64 and tasks (B,) int64, where B is the sum of
-            the counts.
-        """
+        """Observations (B, ...), actions (B,) and tasks (B,), `counts[k]` of task k."""
         pairs = zip(self._envs_of, counts, strict=True)
         env = np.concatenate([rng.choice(envs, count) for envs, count in pairs])
         rollout = rng.integers(min(self._count, self._capacity), size=len(env))

@@ -178,6 +178,10 @@ class RolloutEnvs:
             actions = rng.integers(NUM_ACTIONS, size=self.envs.num_envs)
             self._observations, *_ = self.envs.step(actions, active=step < delays)
 
+    def network_input(self) -> Tensor:
+        """The current observations as networks take them, on the device."""
+        return to_unit(self.observations().to(self.device))
+
     def observations(self) -> Tensor:
         """The current observations (N, ...) in the network's layout, still on the CPU."""
         return self._network_input(self._observations)
@@ -242,7 +246,7 @@ def collect_rollout(
             if bootstrap and final is not None:
                 rows = torch.from_numpy(np.flatnonzero(dones[t])).to(device)
                 final_values[t, rows] = forward(to_unit(final.to(device)), envs.tasks[rows])[1]
-        _, last = forward(to_unit(envs.observations().to(device)), envs.tasks)
+        _, last = forward(envs.network_input(), envs.tasks)
     ends = torch.from_numpy(dones).to(device)
     return Rollout(
         observations,

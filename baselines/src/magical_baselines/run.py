@@ -133,12 +133,7 @@ def prepared_pytorch(config: Config) -> Iterator[None]:
 
 @contextmanager
 def opened_trackers(names: Sequence[str], run: Run) -> Iterator[Callback | None]:
-    """Context manager whose value, `log(step, metrics)`, sends the numbers to these trackers.
-
-    Raises:
-        InvalidConfigError: there is no tracker with one of the names.
-        MissingDependencyError: a tracker's library is not installed.
-    """
+    """Context manager whose value, `log(step, metrics)`, sends the numbers to these trackers."""
     if unknown := set(names) - set(TRACKERS):
         raise InvalidConfigError(f"track: expected {' or '.join(TRACKERS)}, found {min(unknown)!r}")
     senders: list[Callable[[Mapping[str, float], int], object]] = []

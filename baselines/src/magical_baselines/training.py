@@ -109,8 +109,7 @@ def gradient_step(optimizer: Optimizer, loss: Tensor, max_grad_norm: float | Non
 def anneal(optimizer: Optimizer, step: int, steps: int) -> float:
     """Set the learning rate of a step: linear, from the optimiser's own to 0 after `steps`.
 
-    Returns:
-        The share of the learning rate that is left, from 1 to above 0.
+    Returns the share that is left.
     """
     left = 1.0 - step / steps
     for group in optimizer.param_groups:
@@ -201,12 +200,7 @@ class Run:
         interrupts: Interrupts | None = None,
         stop_after: int | None = None,
     ) -> None:
-        """See `magical_baselines.train`.
-
-        Raises:
-            CheckpointError: the checkpoint is damaged.
-            InvalidConfigError: `stop_after` is below 1.
-        """
+        """See `magical_baselines.train`; raises `CheckpointError`, `InvalidConfigError`."""
         if stop_after is not None and stop_after < 1:
             raise InvalidConfigError(f"stop_after: expected a positive number, found {stop_after}")
         self.folder, self.config = folder, config
@@ -230,16 +224,13 @@ class Run:
         self._metrics.close()
 
     def describe(self, **facts: Any) -> None:
-        """Record facts in `run.json`; a resumed run must have the same ones.
-
-        Raises `RunFolderError` if a fact has changed since the run was started.
-        """
+        """Record facts in `run.json`; raises `RunFolderError` if a resumed run has other ones."""
         for name, fact in facts.items():
             if name in self.record and self.record[name] != fact:
                 raise RunFolderError(
                     f"{self.folder}: the run began with other {name}; expected "
-                    f"{_first_difference(self.record[name], fact)}; restore what it began with, or "
-                    "start a new run"
+                    f"{quoted(self.record[name])}, found {quoted(fact)}; restore what it began "
+                    "with, or start a new run"
                 )
         if not set(facts) <= set(self.record):
             self._write_record(facts)
@@ -265,14 +256,9 @@ class Run:
     def keep(self, **parts: Stateful) -> bool:
         """Save parts, such as modules and optimisers, in every checkpoint, each under its name.
 
-        They are restored from the checkpoint that the run resumes from. The part `policy` is what
-        `load_policy` loads.
-
-        Returns:
-            Whether they were restored: not in a new run, nor if the checkpoint has none of them.
-
-        Raises:
-            CheckpointMismatchError: the checkpoint's parts are of another network or program.
+        They are restored from the checkpoint that the run resumes from, if it has any of them,
+        which is returned; raises `CheckpointMismatchError` if they do not fit. The part `policy` is
+        what `load_policy` loads.
         """
         self._parts |= parts
         found = not self.saved.keys().isdisjoint(parts)
@@ -305,8 +291,6 @@ class Run:
 
         Raises:
             DivergedError: metrics or state are not finite; the checkpoint is left unchanged.
-            InvalidConfigError: a device or a precision is asked for, and the algorithm has not
-                used `compute`.
         """
         self._require_compute()
         stops = self._interrupts.seen or step >= self._last
@@ -358,14 +342,6 @@ def _is_finite(node: Any) -> bool:
     if isinstance(node, list | tuple):
         return all(map(_is_finite, node))
     return not isinstance(node, float) or math.isfinite(node)
-
-
-def _first_difference(before: Any, now: Any) -> str:
-    """Two values for a message, or of two lists the first items that differ."""
-    if isinstance(before, list) and isinstance(now, list):
-        pairs = (pair for pair in zip(before, now, strict=False) if pair[0] != pair[1])
-        before, now = next(pairs, (before, now))
-    return f"{quoted(before)}, found {quoted(now)}"
 
 
 def fit(

@@ -52,7 +52,6 @@ def test_the_style_is_sampled_from_the_encoders_distribution(
     mean, log_variance = torch.full((6, 32), 3.0), torch.full((6, 32), -2.0)
     monkeypatch.setattr(act.StyleEncoder, "forward", lambda *_: (mean, log_variance))
     seen: list[torch.Tensor] = []
-    assert network.from_style is not None
     network.from_style.register_forward_pre_hook(lambda _, inputs: seen.append(inputs[0]))
     losses(network, samples)
     (z,) = seen
@@ -108,12 +107,9 @@ def test_a_linear_layer_adds_to_the_chunk_what_behavioural_cloning_sees(space: s
     assert not torch.allclose(added, decoded)
 
 
-def test_the_style_variable_is_optional() -> None:
+def test_without_its_style_a_chunk_is_that_of_z_0() -> None:
     samples = batch()
-    with_style, without = make_policy(config()), make_policy(config(kl_weight=0.0))
-    assert without.style is None
-    assert losses(without, samples)["kl"] == 0.0
-    with_style.eval()
+    with_style = make_policy(config()).eval()
     with torch.no_grad():
         plain, zero, one = (
             with_style(samples.images, samples.tasks, z)

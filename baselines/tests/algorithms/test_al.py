@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from PIL import Image
 from scipy.optimize import minimize
 
 from baselines.tests.conftest import TASKS
@@ -102,8 +101,6 @@ def test_resumed_runs_are_bit_equal(demos: Path, tmp_path: Path) -> None:
         assert train(config, parts, stop_after=stops).step == stops
         assert train(config, parts, resume=True).finished
         assert_same(checkpoint(whole), checkpoint(parts))
-    with Image.open(whole / "reconstructions.png") as picture:
-        assert picture.size == (10 * 96, 2 * 96)
 
 
 def test_paper_s_pretraining() -> None:
@@ -163,17 +160,6 @@ def test_a_decoder_without_weights_gives_the_zero_of_the_encoders_range(
             torch.nn.init.constant_(last.bias, bias)
             decoded = autoencoder(images, actions)[0]
             torch.testing.assert_close(decoded, torch.full_like(images, expected))
-
-
-@pytest.mark.parametrize("conventions", CONVENTIONS)
-def test_resuming_keeps_the_picture_of_reconstructions(
-    demos: Path, tmp_path: Path, conventions: str
-) -> None:
-    config = small(demos, conventions=conventions)
-    train(config, tmp_path, stop_after=config.pretraining_batches + 1)
-    picture = (tmp_path / "reconstructions.png").read_bytes()
-    train(config, tmp_path, resume=True, stop_after=1)
-    assert (tmp_path / "reconstructions.png").read_bytes() == picture
 
 
 def test_images_for_w_are_augmented_if_configured(expert: ExpertData) -> None:

@@ -1,6 +1,5 @@
 """DAgger from beginning to end, in the smallest runs."""
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +8,6 @@ import pytest
 from baselines.tests import tiny_runs
 from baselines.tests.conftest import TASKS
 from baselines.tests.tiny_runs import assert_same, checkpoint
-from magical.cli import main
 from magical.demos import Dataset, DatasetWriter, Trajectory
 from magical.errors import (
     DatasetError,
@@ -153,18 +151,3 @@ def test_a_task_without_an_expert_is_named(demos: Path, monkeypatch: pytest.Monk
     monkeypatch.setattr(goals, "_program", lambda task: None)
     with pytest.raises(NoExpertError, match="'MoveToRegion' has no scripted expert"):
         tiny(demos)
-
-
-def test_from_the_command_line(
-    demos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = str(tmp_path / "run")
-    settings = {"rounds": 2, "batches": 1, "batch-size": 2, "episodes": 2, "num-demos": 1}
-    more = [str(word) for name, value in settings.items() for word in (f"--{name}", value)]
-    given = ["--task", "MoveToRegion", "--demos", str(demos), "--preset", "quick", "--out", out]
-    more += ["--workers", "0", "--network", "light", "--precision", "float32", "--json"]
-    assert main(["train", "dagger", *given, "--variants", "Demo", "Jitter", *more]) == 0
-    summary = json.loads(capsys.readouterr().out.splitlines()[-1])
-    assert (summary["finished"], summary["labels"]) == (True, 12 + 2 * 40)
-    ids = {entry.env_id for entry in aggregate(tmp_path / "run").entries}
-    assert ids == {f"magical/MoveToRegion-{name}-v0" for name in ("Demo", "TestJitter")}

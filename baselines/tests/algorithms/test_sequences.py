@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from baselines.tests.conftest import TASKS
-from baselines.tests.tiny_runs import assert_same, checkpoint, tiny
+from baselines.tests.tiny_runs import tiny
 from magical.envs import EnvId
 from magical.envs.vector import MagicalVectorEnv
 from magical.evaluation.rollouts import play
@@ -18,33 +17,6 @@ from magical_baselines.algorithms.chunks import masked_mean
 from magical_baselines.policy import TrainedPolicy
 
 ALGORITHMS = ("act", "diffusion", "transformer-bc")
-
-
-@pytest.mark.parametrize("algorithm", ALGORITHMS)
-def test_random_numbers_follow_from_the_seed_and_are_no_others(
-    algorithm: str, demos: Path, tmp_path: Path
-) -> None:
-    config = tiny(find_algorithm(algorithm).config, demos=str(demos), tasks=TASKS[:1])
-    found = []
-    for number in range(2):
-        torch.manual_seed(number)
-        before = torch.random.get_rng_state()
-        train(config, tmp_path / f"{number}")
-        assert torch.equal(torch.random.get_rng_state(), before)
-        found.append(checkpoint(tmp_path / f"{number}"))
-    assert_same(found[0], found[1])
-
-
-def test_training_on_the_cpu_leaves_gpus_alone(
-    demos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    touched: list[Any] = []
-    monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
-    monkeypatch.setattr(torch.cuda, "get_rng_state", touched.append)
-    monkeypatch.setattr(torch.cuda, "set_rng_state", lambda *_: None)
-    config = tiny(find_algorithm("act").config, demos=str(demos), batches=1)
-    assert train(config, tmp_path / "run").finished
-    assert not touched
 
 
 class Recorded:

@@ -38,13 +38,15 @@ from magical_baselines.algorithms.chunks import (
     masked_mean,
     sample_chunks,
 )
-from magical_baselines.config import Algorithm, NonNegativeFloat, option
+from magical_baselines.config import Algorithm, option
 from magical_baselines.models import TaskLinear, Trunk
 from magical_baselines.training import Run, seeded_init
 
 WIDTH, FEEDFORWARD, HEADS, DROPOUT = 64, 256, 4, 0.1  # of all three transformers
 LAYERS = {"encoder": 2, "decoder": 1, "style": 1}
 LATENT_SIZE = 32  # of z, as published
+KL_WEIGHT = 10.0  # of the KL divergence of z from N(0, 1)
+ENSEMBLE_DECAY = 0.01  # m: the n-th chunk that predicts a step has weight exp(-m n)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,14 +63,6 @@ class ACTConfig(ChunkConfig):
         "discrete", "action space of the predictions"
     )
     ensemble: bool = option(True, "average the chunks that predict a step (temporal ensembling)")
-    ensemble_decay: NonNegativeFloat = option(
-        0.01,
-        "temporal ensembling: the n-th chunk that predicts a step has weight exp(-x n), with "
-        "n = 0 for the oldest",
-    )
-    kl_weight: NonNegativeFloat = option(
-        10.0, "weight of the KL divergence of z from N(0, 1); 0: no latent z"
-    )
 
 
 class ACTNetwork(nn.Module):
@@ -90,19 +84,17 @@ class ACTNetwork(nn.Module):
         self.decoder = nn.TransformerDecoder(layer, LAYERS["decoder"], nn.LayerNorm(WIDTH))
         self.head = nn.Linear(WIDTH, action_size)
         self.shortcut = TaskLinear(self.trunk.num_features, length * action_size, len(config.tasks))
-        self.kl_weight = config.kl_weight
-        self.style = StyleEncoder(action_size, length) if config.kl_weight else None
-        self.from_style = nn.Linear(LATENT_SIZE, WIDTH) if config.kl_weight else None
+        self.style = StyleEncoder(action_size, length)
+        self.from_style = nn.Linear(LATENT_SIZE, WIDTH)
 
     def forward(self, images: Tensor, tasks: Tensor, z: Tensor | None = None) -> Tensor:
         """Predict chunks, given the style variable z (B, LATENT_SIZE), by default 0."""
         feature_map = self.trunk.feature_map(images)
         positions = feature_map.reshape(len(images), self.trunk.map_shape[0], -1).mT  # (B, P, C)
-        tokens = [self.projection(positions) + self.positions, self.task(tasks)[:, None]]
-        if self.from_style is not None:
-            z = images.new_zeros(len(images), LATENT_SIZE) if z is None else z
-            tokens.append(self.from_style(z)[:, None])
-        memory = self.encoder(torch.cat(tokens, dim=1))
+        z = images.new_zeros(len(images), LATENT_SIZE) if z is None else z
+        others = [each[:, None] for each in (self.task(tasks), self.from_style(z))]
+        tokens = torch.cat([self.projection(positions) + self.positions, *others], dim=1)
+        memory = self.encoder(tokens)
         decoded = self.head(self.decoder(self.queries.expand(len(images), -1, -1), memory))
         features = self.trunk.linear(feature_map.flatten(1))
         chunks: Tensor = decoded + self.shortcut(features, tasks).view(decoded.shape)
@@ -136,18 +128,16 @@ class StyleEncoder(nn.Module):
 
 def act_losses(network: ACTNetwork, batch: Chunks) -> dict[str, Tensor]:
     """The loss to be minimised and its two parts, for the actions that exist and for z."""
-    z, kl = None, torch.zeros(())
-    if network.style is not None:
-        mean, log_variance = network.style(batch)
-        z = mean + (0.5 * log_variance).exp() * torch.randn_like(mean)
-        kl = kl_divergence(mean, log_variance).mean()
+    mean, log_variance = network.style(batch)
+    z = mean + (0.5 * log_variance).exp() * torch.randn_like(mean)
+    kl = kl_divergence(mean, log_variance).mean()
     predicted = network(batch.images, batch.tasks, z).float()  # (B, K, D)
     if batch.actions.is_floating_point():
         errors = (predicted - batch.actions).abs().mean(dim=2)
     else:
         errors = functional.cross_entropy(predicted.mT, batch.actions, reduction="none")
     action_loss = masked_mean(errors, batch.exist)
-    return {"loss": action_loss + network.kl_weight * kl, "action_loss": action_loss, "kl": kl}
+    return {"loss": action_loss + KL_WEIGHT * kl, "action_loss": action_loss, "kl": kl}
 
 
 def kl_divergence(mean: Tensor, log_variance: Tensor) -> Tensor:
@@ -163,7 +153,7 @@ class ACTPolicy(ChunkPolicy):
     @property
     def ensemble_decay(self) -> float | None:
         """See `ChunkPolicy`."""
-        return self.config.ensemble_decay if self.config.ensemble else None
+        return ENSEMBLE_DECAY if self.config.ensemble else None
 
 
 def train(config: ACTConfig, run: Run) -> None:

@@ -9,18 +9,15 @@ First an autoencoder is trained on the expert's samples; its encoder phi is then
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 import numpy as np
 import torch
-from PIL import Image
 from torch import Tensor, nn
 from torch.nn import functional
 from torch.optim import Adam
 
 from magical.errors import InvalidConfigError
-from magical.files import write_atomically
 from magical.scene import NUM_ACTIONS
 from magical_baselines.algorithms.ppo import (
     PUBLISHED_CODE,
@@ -47,8 +44,6 @@ from magical_baselines.training import Averages, Purpose, Run, gradient_step, se
 AUTOENCODER_INIT = 1  # number of the initialisation; the policy's is 0
 WEIGHT_NORM = 2.0  # of w (appendix B, equation 1)
 LOG_EVERY = 50  # batches of pretraining
-NUM_RECONSTRUCTIONS = 10  # frames in the picture
-PICTURE = "reconstructions.png"
 PASSED = 12  # samples each of expert and novice that the published code encodes in training mode
 CHUNK = 64  # samples per forward pass without gradients or batch statistics
 # The autoencoder (docs/specification.md, section 10).
@@ -125,10 +120,8 @@ def train(config: ALConfig, run: Run) -> None:
             replay_buffer=novice,
             reward_statistics=normaliser,
         )
-        if run.step <= config.pretraining_batches:
-            if not pretrain(config, run, expert, autoencoder, optimizer):
-                return
-            save_expert_reconstructions(run, expert, autoencoder)
+        if not pretrain(config, run, expert, autoencoder, optimizer):
+            return
         autoencoder.eval().requires_grad_(False)
         imitate(config, run, ppo, expert, novice, autoencoder, normaliser)
 
@@ -136,11 +129,7 @@ def train(config: ALConfig, run: Run) -> None:
 def pretrain(
     config: ALConfig, run: Run, expert: ExpertData, autoencoder: "Autoencoder", optimizer: Adam
 ) -> bool:
-    """Train the autoencoder on the expert's samples.
-
-    Returns:
-        Whether the pretraining is complete; if not, the run stops.
-    """
+    """Train the autoencoder on the expert's samples; false if the run stops before the end."""
     averages = Averages()
     augmentations = config.augmentations("none" if config.published else config.augment)
     scale = autoencoder.scale**2  # the error is of pixels in the encoder's range
@@ -230,16 +219,6 @@ def feature_weights(expert: Tensor, novice: Tensor) -> tuple[Tensor, Tensor]:
     return w, WEIGHT_NORM * length
 
 
-def save_expert_reconstructions(run: Run, expert: ExpertData, autoencoder: "Autoencoder") -> None:
-    """Save a picture of reconstructed expert frames in the run folder."""
-    rows = np.linspace(0, len(expert) - 1, NUM_RECONSTRUCTIONS).astype(np.int64)
-    images = to_unit(expert.images(rows))
-    autoencoder.eval()
-    with torch.no_grad(), run.compute.autocast():
-        reconstructed, _ = autoencoder(images, expert.labels(rows)[0])
-    save_reconstructions(run.folder / PICTURE, images, reconstructed)
-
-
 def make_autoencoder(config: ALConfig) -> "Autoencoder":
     """The autoencoder, initialised from the seed."""
     with seeded_init(config.seed, AUTOENCODER_INIT):
@@ -310,15 +289,6 @@ def autoencoder_loss(
     """Return the terms of the loss: mean squared image error and cross-entropy of the actions."""
     error = functional.mse_loss(reconstructed.float(), images)
     return error, functional.cross_entropy(logits.float(), actions)
-
-
-def save_reconstructions(path: Path, images: Tensor, reconstructed: Tensor) -> None:
-    """Write a PNG of the newest frame of each stack (B, C, H, W) in [0, 1], originals on top."""
-    rows = [torch.cat(list(stacks[:, -3:]), dim=2) for stacks in (images, reconstructed)]
-    both = torch.cat(rows, dim=1).float().clamp(0.0, 1.0).mul(255.0).round()  # (3, 2H, B * W)
-    pixels = both.to(torch.uint8).permute(1, 2, 0).cpu().numpy()
-    with write_atomically(path) as file:
-        Image.fromarray(pixels).save(file, format="PNG")
 
 
 ALGORITHM = Algorithm(ALConfig, train, make_policy)

@@ -111,13 +111,7 @@ class BCTrainer:
     ) -> bool:
         """Train on all but no-ops, from the run's step to step `until`, by default the last.
 
-        Args:
-            demonstrations: each with the name of its task.
-            until: the step to end at.
-            extra_metrics: logged with the others.
-
-        Returns:
-            Whether the run stops early.
+        The extra metrics are logged with the others. Returns whether the run stops early.
         """
         config = self.config
         data = ExpertData(

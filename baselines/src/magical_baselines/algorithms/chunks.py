@@ -15,7 +15,6 @@ from magical.evaluation.policy import Actions, Mask
 from magical.scene.actions import NUM_ACTIONS, PARTS
 from magical_baselines.config import (
     NetworkConfig,
-    NonNegativeFloat,
     PositiveFloat,
     PositiveInt,
     SupervisedConfig,
@@ -32,7 +31,7 @@ AnyConfig = TypeVar("AnyConfig", bound="SequenceConfig")
 Network = TypeVar("Network", bound=nn.Module)
 Batch = TypeVar("Batch")
 
-MAX_GRAD_NORM = 10.0
+WEIGHT_DECAY, MAX_GRAD_NORM = 1e-4, 10.0
 QUICK = {"network": "narrow", "batches": 2400, "precision": "auto"}  # settings of the preset
 # How many numbers a network returns per action: logits, or the action itself.
 ACTION_SIZES = {"discrete": NUM_ACTIONS, "continuous": len(PARTS)}
@@ -45,7 +44,6 @@ class SequenceConfig(SupervisedConfig, NetworkConfig):
     learning_rate: PositiveFloat = option(
         5e-4, "AdamW's initial learning rate; annealed linearly to 0"
     )
-    weight_decay: NonNegativeFloat = option(1e-4, "AdamW's weight decay")
     augment: str = augment_option("noise+translation+rotation")
 
 
@@ -58,15 +56,8 @@ def fit_sequences(
 ) -> None:
     """Fit a network, the run's policy, to the demonstrations without no-ops.
 
-    Args:
-        config: the configuration of the run.
-        run: logs and saves the training, which continues from its checkpoint.
-        network: the module to train.
-        sample: returns a batch, depending only on its arguments.
-        losses: the metrics of a batch, of which `loss` is minimised.
-
-    Raises:
-        DemonstrationsError, RunFolderError: see `load_demonstrations` and `ExpertData`.
+    `sample` returns a batch, depending only on its arguments, and `losses` the metrics of a batch,
+    of which `loss` is minimised. Raises what `load_demonstrations` and `ExpertData` raise.
     """
     compute = run.compute
     data = ExpertData(
@@ -78,7 +69,7 @@ def fit_sequences(
     )
     network.to(compute.device).train()
     optimizer = AdamW(
-        network.parameters(), config.learning_rate, weight_decay=config.weight_decay, fused=True
+        network.parameters(), config.learning_rate, weight_decay=WEIGHT_DECAY, fused=True
     )
     run.keep(policy=network, optimizer=optimizer)
 

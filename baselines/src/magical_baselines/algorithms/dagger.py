@@ -148,17 +148,9 @@ def collect_labelled(
     """Collect one episode in each environment, labelled by its own expert.
 
     The expert follows the episode from the start; after a different action of the policy, it
-    continues from the resulting state.
-
-    Args:
-        envs: one for each episode, without automatic resets.
-        policy: acts whenever the expert does not.
-        beta: the probability of taking the expert's action at each step.
-        rng: also determines the scenes, which are never scenes of evaluations.
-        **remarks: added to the metadata.
-
-    Raises:
-        NoExpertError: a task has no expert.
+    continues from the resulting state. At each step its action is taken with probability beta. The
+    generator also determines the scenes, which are never scenes of evaluations. The remarks are
+    added to the metadata.
     """
     count = envs.num_envs
     seeds = sample_training_seeds(rng, count)

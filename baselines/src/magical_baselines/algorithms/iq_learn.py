@@ -34,12 +34,10 @@ from copy import deepcopy
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from magical.errors import InvalidConfigError
-from magical_baselines.augmentation.augment import augment, to_unit
 from magical_baselines.config import (
     Algorithm,
     DemonstrationConfig,
@@ -50,9 +48,13 @@ from magical_baselines.config import (
     augment_option,
     option,
 )
-from magical_baselines.data import ExpertData, TaskTrajectories, load_demonstrations, split_evenly
 from magical_baselines.models import PolicyNetwork, Trunk, centre, sample_actions
-from magical_baselines.replay import ReplayBuffer, Transitions, expert_transitions
+from magical_baselines.replay import (
+    ReplayBuffer,
+    Transitions,
+    load_expert_transitions,
+    sample_halves,
+)
 from magical_baselines.rollouts import (
     EpisodeScores,
     InteractionConfig,
@@ -130,8 +132,7 @@ class IQLearnConfig(DemonstrationConfig, InteractionConfig):
 
 def train(config: IQLearnConfig, run: Run) -> None:
     """Imitate demonstrations."""
-    demonstrations = load_demonstrations(config, run)
-    with IQTrainer(config, run, demonstrations) as iq:
+    with IQTrainer(config, run) as iq:
         for update in iq.remaining_updates():
             iq.collect(update)
             metrics = iq.improve(update)
@@ -205,15 +206,14 @@ class IQTrainer(InteractionTrainer):
     config: IQLearnConfig
     network: QNetwork
 
-    def __init__(self, config: IQLearnConfig, run: Run, demonstrations: TaskTrajectories) -> None:
+    def __init__(self, config: IQLearnConfig, run: Run) -> None:
         """See `InteractionTrainer`."""
         super().__init__(config, run, make_policy(config), config.learning_rate)
         self.target = deepcopy(self.network).requires_grad_(False)
-        spec, num_tasks = config.observation_spec, len(config.tasks)
-        self.expert = ExpertData(
-            demonstrations, config.tasks, spec, device=self.device, transitions=True
+        self.expert = load_expert_transitions(config, run)
+        self.replay_buffer = ReplayBuffer(
+            config.observation_spec, self.expert.frames, config.buffer_size, len(config.tasks)
         )
-        self.replay_buffer = ReplayBuffer(spec, self.expert.frames, config.buffer_size, num_tasks)
         self._augmentations = config.augmentations(config.augment)
 
     def start(self) -> bool:
@@ -232,9 +232,8 @@ class IQTrainer(InteractionTrainer):
         taken, scores = [], EpisodeScores()
         with self.monitor.timed("sample"), torch.no_grad():
             for t in range(num_steps):
-                observations = to_unit(envs.observations().to(envs.device))
                 with self.compute.autocast():
-                    logits = self.network(observations, envs.tasks)
+                    logits = self.network(envs.network_input(), envs.tasks)
                 actions, _ = sample_actions(logits, uniforms[t].to(envs.device))
                 _, dones, final, ended = envs.step(actions)
                 self.replay_buffer.add(actions, dones, envs.observations(), final, envs.task_of)
@@ -252,21 +251,19 @@ class IQTrainer(InteractionTrainer):
             for step in range(config.gradient_steps):
                 if every and (update * config.gradient_steps + step) % every == 0:
                     self.target.load_state_dict(self.network.state_dict())
-                counts = split_evenly(config.batch_size // 2, len(config.tasks), rng)
-                demonstrated = expert_transitions(self.expert, counts, rng)
-                batch = demonstrated.join(self.replay_buffer.sample(counts, rng))
-                averages.add(1, **self._step(batch, rng))
+                batch = sample_halves(
+                    self.expert, self.replay_buffer, config.batch_size, len(config.tasks), rng
+                )
+                averages.add(1, **self._step(batch.augmented(self._augmentations, rng)))
         return {**averages.reset()}
 
-    def _step(self, batch: Transitions, rng: np.random.Generator) -> dict[str, Tensor]:
+    def _step(self, batch: Transitions) -> dict[str, Tensor]:
         """Take one optimiser step on a batch; returns the values to log."""
         config = self.config
         network = self.target if config.target_every else self.network
-        observations = augment(batch.observations, self._augmentations, rng)
-        following = augment(batch.next_observations, self._augmentations, rng)
         with self.compute.autocast():
-            q = self.network.q(observations, batch.tasks)
-            next_q = network.q(following, batch.tasks)
+            q = self.network.q(batch.observations, batch.tasks)
+            next_q = network.q(batch.next_observations, batch.tasks)
         loss, parts = iq_loss(q, soft_value(next_q, config.temperature), batch, config)
         gradient_step(self.optimizer, loss)
         return parts

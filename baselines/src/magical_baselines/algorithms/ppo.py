@@ -317,18 +317,13 @@ def ppo_loss(
 ) -> tuple[Tensor, dict[str, Tensor]]:
     """The loss to be minimised, and its parts.
 
-    With ratio = pi(a | s) / pi_old(a | s),
+    With epsilon = `clip_range` and ratio = pi(a | s) / pi_old(a | s),
 
         policy loss = -mean(min(ratio * A, clip(ratio, 1 - epsilon, 1 + epsilon) * A))
         value loss = 0.5 * mean((V(s) - return)^2)
         loss = policy loss + value loss - ent_coef * entropy
 
-    Args:
-        logits: (B, 18) of the current policy pi.
-        values: (B,) of the current value function V.
-        minibatch: the samples.
-        clip_range: (), epsilon.
-        ent_coef: the weight of the entropy.
+    for logits (B, 18) of the current policy pi and its values V (B,).
     """
     log_policy = logits.log_softmax(dim=1)  # (B, 18)
     log_probs = log_policy.gather(1, minibatch.actions[:, None]).squeeze(1)

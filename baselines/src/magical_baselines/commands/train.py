@@ -14,26 +14,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypedDict, get_args, get_origin
 
 from magical.commands._common import INTERRUPTED, UsageError, log, print_json, task_name
+from magical.errors import InvalidConfigError, PluginError
+from magical.plugins import plugins
 
 if TYPE_CHECKING:
-    from magical_baselines.config import Config
+    from magical_baselines.config import Config, Field
 
 HELP = "train a policy"
 
 METAVARS = {int: "N", float: "X", str: "NAME"}
-# Options of the command itself: their types, placeholders, meanings.
-OWN: Mapping[str, tuple[Any, str, str]] = {
-    "out": (Path, "RUN", "run folder, new or empty unless with --resume (required)"),
-    "resume": (
-        bool,
-        "",
-        "resume the run in the folder; its configuration need not be given again",
-    ),
-    "preset": (str, "", "preset for all options that are not given (default: paper)"),
-    "stop_after": (int, "N", "save a checkpoint and stop after N more batches or updates"),
-    "track": (tuple[str, ...], "", "also log the metrics to these trackers"),
-    "json": (bool, "", "print a JSON object as the last line of standard output"),
-}
+OWN = ("out", "resume", "preset", "stop_after", "track", "json")  # options of the command itself
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -55,7 +45,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Train, or resume."""
-    from magical.errors import InvalidConfigError
     from magical.report.figures import save_learning_curves
     from magical_baselines import find_algorithm, train
 
@@ -64,25 +53,25 @@ def run(args: argparse.Namespace) -> int:
     own = argparse.Namespace(**{name: given.pop(name, None) for name in OWN})
     if own.out is None:
         raise UsageError(f"magical train {args.algorithm}: expected --out, found none")
+    track = own.track or ()
 
     def plot_at_evaluations(step: int, metrics: Mapping[str, float | str]) -> None:
         if "evaluation_score" in metrics:
             save_learning_curves(own.out)
 
-    track = own.track or ()
     try:
         config = _config(kind, args.algorithm, own, given)
-        result = train(
-            config,
-            own.out,
-            resume=bool(own.resume),
-            stop_after=own.stop_after,
-            progress=True,
-            callback=plot_at_evaluations,
-            track=track,
-        )
     except InvalidConfigError as error:  # wrong arguments, not a failure
         raise UsageError(str(error)) from error
+    result = train(
+        config,
+        own.out,
+        resume=bool(own.resume),
+        stop_after=own.stop_after,
+        progress=True,
+        callback=plot_at_evaluations,
+        track=track,
+    )
     save_learning_curves(own.out)
     print_json(own, result.summary())
     folder, imports = shlex.quote(str(result.folder)), _imports(config)
@@ -107,89 +96,77 @@ def parse(kind: type["Config"], algorithm: str, words: Sequence[str]) -> dict[st
     """
     import tyro
 
-    from magical.errors import PluginError
-    from magical_baselines.config import options, type_hints
+    from magical_baselines.config import options
+    from magical_baselines.run import TRACKERS
 
-    fields = {name: _own_option(kind, *parts, name=name) for name, parts in OWN.items()}
+    trackers: Any = tuple[Literal[TRACKERS], ...]  # type: ignore[valid-type]
+    presets: Any = Literal[tuple(kind.presets)]
+    own = (
+        _argument("out", Path, "run folder, new or empty unless with --resume", "RUN"),
+        _argument("resume", bool, "resume the run in the folder, with its configuration"),
+        _argument("preset", presets, "preset for all options that are not given (default: paper)"),
+        _argument("stop_after", int, "stop with a checkpoint after N more batches or updates"),
+        _argument("track", trackers, "also log the metrics to these trackers"),
+        _argument("json", bool, "print a JSON object as the last line of standard output"),
+    )
+    fields = dict(zip(OWN, own, strict=True))
     for field in options(kind):
-        if field.name in fields:
+        if field.name in OWN:
             raise PluginError(
                 f"{kind.__name__}.{field.name}: `magical train` has an option of this name; give "
                 "it another"
             )
-        fields[field.name] = _option(kind, field, type_hints(kind)[field.name])
+        fields[field.name] = _option(kind, field)
     make_type: Any = TypedDict  # from a dict, which type checkers do not follow
     table: Any = make_type("Options", fields, total=False)  # what is not given is left out
-    printed = io.StringIO()
+    summary, printed = (kind.__doc__ or "").splitlines()[0], io.StringIO()
     try:
         with redirect_stderr(printed):
-            given: dict[str, Any] = tyro.cli(
-                table,
-                args=words,
-                prog=f"magical train {algorithm}",
-                description=(kind.__doc__ or "").splitlines()[0],
-            )
+            name = f"magical train {algorithm}"
+            given: dict[str, Any] = tyro.cli(table, args=words, prog=name, description=summary)
     except SystemExit as stop:
         if stop.code == 0:
             raise
-        raise UsageError(
-            f"{_in_one_line(printed.getvalue())}; see magical train {algorithm} --help"
-        ) from stop
+        # The error is framed, below a title and above hints.
+        lines = [line.strip("│ ") for line in printed.getvalue().splitlines() if line[:1] == "│"]
+        rule = next((k for k, line in enumerate(lines) if line.startswith("─")), len(lines))
+        raise UsageError(f"{' '.join(lines[:rule])}; see {name} --help") from stop
     if "tasks" in given:
         given["tasks"] = tuple(map(task_name, given["tasks"]))
     return given
 
 
-def _own_option(kind: type["Config"], hint: Any, metavar: str, text: str, *, name: str) -> Any:
-    from magical_baselines.run import TRACKERS
+def _option(kind: type["Config"], field: "Field") -> Any:
+    """A field of a configuration as an argument."""
+    from magical_baselines.config import type_hints
 
-    if name == "track":
-        hint = tuple[Literal[TRACKERS], ...]  # type: ignore[valid-type]
-    if name == "preset":
-        hint = Literal[tuple(kind.presets)]
-    return _argument(name, hint, metavar, text)
-
-
-def _option(kind: type["Config"], field: Any, hint: Any) -> Any:
-    """A field of a configuration as tyro's argument."""
     text, metavar, group = (field.metadata[key] for key in ("help", "metavar", "plugins"))
     if group:
-        from magical.plugins import plugins
-
-        known = kind.observations if field.name == "observation" else sorted(plugins(group))
+        names = field.metadata["known"] + tuple(sorted(plugins(group)))
+        known = kind.observations if field.name == "observation" else names
         metavar, text = f"{{{','.join(known)}}}", f"{text}; or module:NAME"
     if field.default not in (MISSING, None, "", ()):
-        default = field.default
-        shown = " ".join(default) if isinstance(default, tuple) else default
-        text = f"{text} (paper: {shown})"
-    return _argument(field.name, hint, metavar, text)
+        several = isinstance(field.default, tuple)
+        text += f" (paper: {' '.join(field.default) if several else field.default})"
+    return _argument(field.name, type_hints(kind)[field.name], text, metavar)
 
 
-def _argument(name: str, hint: Any, metavar: str, text: str) -> Any:
+def _argument(name: str, hint: Any, text: str, metavar: str = "") -> Any:
+    """A type with tyro's description of the argument."""
     import tyro
 
-    plain = get_args(hint)[0] if get_origin(hint) is Annotated else hint
-    if not metavar and get_origin(plain) is not tuple:
-        first = next(iter(get_args(plain)), plain)  # of `int | None`
-        metavar = METAVARS.get(get_args(first)[0] if get_origin(first) is Annotated else first, "")
-    flag = "task" if name == "tasks" else name
-    return Annotated[
-        hint,
-        tyro.conf.arg(
-            name=flag,
-            aliases=("--tasks",) if name == "tasks" else None,
-            help=text,
-            metavar=metavar or None,
-            help_behavior_hint="",
-        ),
-    ]
-
-
-def _in_one_line(box: str) -> str:
-    """The message of an error of tyro, without its frame, its title and its hints."""
-    lines = [line.strip("│ ") for line in box.splitlines() if line.startswith("│")]
-    rule = next((k for k, line in enumerate(lines) if line.startswith("─")), len(lines))
-    return " ".join(lines[:rule])
+    plain = hint
+    while get_origin(plain) not in (None, tuple, Literal):  # of `Annotated` or `int | None`
+        plain = get_args(plain)[0]
+    tasks = name == "tasks"
+    described = tyro.conf.arg(
+        name="task" if tasks else name,
+        aliases=("--tasks",) if tasks else None,
+        help=text,
+        metavar=metavar or METAVARS.get(plain),
+        help_behavior_hint="",
+    )
+    return Annotated[hint, described]
 
 
 def _config(
