@@ -31,9 +31,7 @@ class Solid:
         self.body.position = AWAY[:2]
         self.shapes: list[pymunk.Shape]
         if isinstance(kind, Region):
-            self.shapes: list[pymunk.Shape] = [
-                pymunk.Poly(self.body, rectangle(kind.width, kind.height))
-            ]
+            self.shapes = [pymunk.Poly(self.body, rectangle(kind.width, kind.height))]
         elif kind is None:
             fingers = [pymunk.Poly(self.body, polygon) for polygon in robot_polygons()]
             self.shapes = [pymunk.Circle(self.body, c.ROBOT_RADIUS), *fingers]
