@@ -62,7 +62,7 @@ def score(policy: TrainedPolicy, tasks: Sequence[str], args: argparse.Namespace)
         environments(tasks, ["Demo"]),
         rollouts=args.rollouts,
         seed=args.seed,
-        nudge=0.01,  # so that rollouts are not all alike
+        nudge=1e-4,  # so that rollouts are not all alike
         workers=1,
     )
     return [float(np.mean([s.score for s in scores if s.env_id.task == t])) for t in tasks]

@@ -59,8 +59,8 @@ def test_a_round_of_a_policy_that_runs_in_processes() -> None:
 
 @pytest.fixture
 def entry() -> Entry:
-    scores = evaluate(RandomPolicy(), IDS, rollouts=30, horizon=20, nudge=0.01, seed=2, workers=0)
-    return Entry(method="m", scores=scores, observation="state", horizon="20", nudge=0.01, seed=2)
+    scores = evaluate(RandomPolicy(), IDS, rollouts=30, horizon=20, nudge=1e-4, seed=2, workers=0)
+    return Entry(method="m", scores=scores, observation="state", horizon="20", nudge=1e-4, seed=2)
 
 
 def test_the_scores_of_the_same_policy_are_confirmed(entry: Entry) -> None:
