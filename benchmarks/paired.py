@@ -59,13 +59,9 @@ class Tree:
                 super().step(actions.POINTS[action])
                 return [self.read()]
 
-        class Restarted:
-            def __init__(self, seed: int) -> None:
-                self.env = envs.MagicalEnv(task_name, "TestAll", observation="LoRes4E")
-                self.env.reset(seed=seed)
-
+        class Restarted(envs.MagicalEnv):  # type: ignore[misc, name-defined]
             def step(self, action: int) -> Any:
-                return self.env.reset(seed=action)
+                return self.reset(seed=action)
 
         def simulate(seed: int) -> Any:
             return Simulation(*tasks.TASKS[task_name].sample("Demo", np.random.default_rng(seed)))
@@ -83,7 +79,7 @@ class Tree:
             "simulation": simulate,
             "state only": observe("state"),
             "with pixels": observe("LoRes4E"),
-            "reset": Restarted,
+            "reset": lambda seed: Restarted(task_name, "TestAll", observation="LoRes4E"),
         }
 
     def enter(self) -> None:
@@ -107,8 +103,8 @@ def compare(name: str, trees: list[Tree], seconds: float) -> None:
         running = []
         for tree in trees:
             tree.enter()
-            running.append(tree.starts[name](len(times)))
-            running[-1].step(0)  # compiles
+            running.append(one := tree.starts[name](len(times)))
+            one.step(0)  # compiles
         for turn in range(EPISODE):
             actions = rng.integers(NUM_ACTIONS, size=TURN).tolist()
             spent = {}

@@ -2,7 +2,7 @@
 
 python benchmarks/step_profile.py [--env ID] [--num-envs N]
 
-All sub-environments are stepped in this process. The parts are timed one after another, each over
+All sub-environments are stepped in one thread. The parts are timed one after another, each over
 all sub-environments, once per round. The lowest decile is reported, as it is least affected by
 other processes. The copy is the one that `copy=True` makes.
 """
@@ -13,9 +13,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 import numpy as np
-from magical.envs.vector.sub_envs import SubEnvs
 
 from magical.envs.vector import MagicalVectorEnv
+from magical.physics.substeps import step_rows
 from magical.scene.actions import NUM_ACTIONS
 
 ROUNDS = 100
@@ -66,30 +66,24 @@ def main() -> None:
 
 def profile_parts(envs: MagicalVectorEnv, actions: np.ndarray, profile: Profile) -> None:
     """Take one step, part by part; episodes are not reset at their end."""
-    sub_envs = envs._sub_envs
-    assert isinstance(sub_envs, SubEnvs)
-    each = sub_envs._in_order
+    rows, points = np.arange(envs.num_envs), envs.action_spec.points(actions, envs.num_envs)
     with profile.part("simulation"):
-        for env, action in zip(each, actions.tolist(), strict=True):
-            env.episode.simulation.step(action)
-    with profile.part("read"):
-        for env in each:
-            env.episode.bodies = env.episode.simulation.read()
+        step_rows(rows, envs._robots, envs._places, points, envs._bodies)
     with profile.part("observe"):
-        for env in each:
-            env.episode.observer.update(env.episode.bodies)
+        for env, bodies in zip(envs.envs, envs._used_bodies, strict=True):
+            env.observer.update(bodies)
+    copy = envs._free_copy()
+    assert copy is not None
     with profile.part("copy"):
-        for env in each:
-            if env._copies:
-                env.copy_observation(0)
+        for row in rows.tolist():
+            copy.fill(row)
 
 
 def report(profile: Profile) -> None:
     """Print the table."""
     step = profile.microseconds("step")
     parts = {
-        "simulation": profile.microseconds("simulation"),
-        "reading poses and velocities": profile.microseconds("read"),
+        "simulation and reading": profile.microseconds("simulation"),
         "observation": profile.microseconds("observe"),
         "copy for the caller": profile.microseconds("copy"),
     }

@@ -75,7 +75,9 @@ def test_a_policy_with_wrong_outputs_says_what_was_expected(
     (tmp_path / "wrong.py").write_text(POLICY)
     status, _, err = evaluate(capsys, f"{tmp_path / 'wrong.py'}:wrong", "--task", "MoveToRegion")
     assert status == 1
-    assert "policy: act(): actions: expected 60 integers from 0 to 17, found <array" in err
+    assert (
+        "policy: act(): actions: expected integers from 0 to 17 of shape (60,), found <array" in err
+    )
     assert "f64>; sample or take the argmax" in err
     two = "def two(observations, env_ids):\n    return 0\nclass Two:\n    act = staticmethod(two)\n"
     (tmp_path / "two.py").write_text(two)

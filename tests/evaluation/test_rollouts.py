@@ -193,7 +193,7 @@ def test_horizons(env_ids: list[str], horizon: Any, steps: int) -> None:
         ({"env_ids": []}, ValueError, "at least one environment, found none"),
         ({"env_ids": [f"{DEMO[:-3]}-LoRes4A-v0"]}, ValueError, "set by observation='LoRes4A'"),
         ({"rollouts": 0}, ValueError, "at least 1, found 0"),
-        ({"nudge": 1.0}, ValueError, "nudge: expected"),
+        ({"nudge": 1.0}, ValueError, "noise: expected"),
         ({"seed": -1}, ValueError, "seed: expected at least 0, found -1"),
         ({"workers": -1}, ValueError, "workers: expected at least 0, or None, found -1"),
     ],
@@ -342,7 +342,7 @@ def test_policies_with_continuous_actions_are_evaluated_in_such_environments() -
         (Drives(1.5), "found drive 1.5 in row 0"),
         (
             lambda observations, env_ids, rng: np.zeros((len(env_ids), 3)),
-            "expected 1 integers from 0 to 17, found <array of shape",
+            r"expected integers from 0 to 17 of shape \(1,\), found <array of shape",
         ),
     ],
 )

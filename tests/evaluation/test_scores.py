@@ -126,7 +126,7 @@ def test_a_full_disk_leaves_the_previous_entry(
         with monkeypatch.context() as patch:
             patch.setattr(entries, where, full)
             with pytest.raises(OSError, match="no space"):
-                entry_of("mine", SCORES[:1], nudge=0.01).write(tmp_path)
+                entry_of("mine", SCORES[:1], nudge=1e-4).write(tmp_path)
         found = read_entry(tmp_path)
         assert (found.evaluated.nudge, len(found.scores)) == (0.0, len(SCORES))
 

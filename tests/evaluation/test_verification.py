@@ -60,8 +60,8 @@ def test_a_round_of_a_policy_that_runs_in_processes() -> None:
 
 @pytest.fixture
 def entry() -> Entry:
-    scores = evaluate(RandomPolicy(), IDS, rollouts=30, horizon=20, nudge=0.01, seed=2, workers=0)
-    return entry_of("m", scores, observation="state", horizon="20", nudge=0.01, seed=2)
+    scores = evaluate(RandomPolicy(), IDS, rollouts=30, horizon=20, nudge=1e-4, seed=2, workers=0)
+    return entry_of("m", scores, observation="state", horizon="20", nudge=1e-4, seed=2)
 
 
 def test_the_scores_of_the_same_policy_are_confirmed(entry: Entry) -> None:

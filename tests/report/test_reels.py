@@ -44,7 +44,7 @@ def test_extremes_are_chosen_by_score_then_number() -> None:
     ("settings", "every", "frames"),
     [
         ({}, 7, 7),  # the first, steps 7 to 35, and the last step, 40
-        ({"horizon": 20, "nudge": 0.01}, 1, 21),
+        ({"horizon": 20, "nudge": 1e-4}, 1, 21),
     ],
 )
 def test_rollouts_are_recorded_as_they_were_evaluated(

@@ -5,6 +5,7 @@ With noise, an average over rollouts is one over roundings (docs/determinism.md)
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -31,41 +32,26 @@ def checked_noise(noise: Any) -> float:
     return float(noise)
 
 
-def shifted(scene: Scene, noise: float, rng: np.random.Generator) -> Scene:
-    """The scene with robot and blocks shifted and turned by uniform samples.
+def noisy_start(env_id: EnvId, seed: int, noise: float) -> tuple[Scene, Dynamics]:
+    """The scene and dynamics that an environment samples for a seed, with noise from this seed.
 
-    Args:
-        scene: the scene.
-        noise: the largest shift of each coordinate, in units, and of each angle, in radians.
-        rng: samples three numbers for the robot, then three for each block.
+    Robot and blocks are shifted and turned by uniform samples up to `noise`. Raises
+    `PlacementError` if none of `MAX_SCENES` such scenes fits the task.
     """
+    task, (rng, _) = env_id.task_spec, seeding.np_random(seed)
+    scene, dynamics = task.sample(env_id.variant, rng)
 
     def shift(pose: Pose) -> Pose:
         return Pose(*(pose + rng.uniform(-noise, noise, size=3)).tolist())
 
-    robot = shift(scene.robot)
-    return replace(
-        scene, robot=robot, blocks=tuple(replace(b, pose=shift(b.pose)) for b in scene.blocks)
-    )
-
-
-def noisy_start(env_id: EnvId, seed: int, noise: float) -> tuple[Scene, Dynamics]:
-    """The scene and dynamics that an environment samples for a seed, with noise from this seed.
-
-    Raises:
-        PlacementError: none of `MAX_SCENES` such scenes fits the task.
-    """
-    task, (rng, _) = env_id.task_spec, seeding.np_random(seed)
-    scene, dynamics = task.sample(env_id.variant, rng)
     for _ in range(MAX_SCENES):
-        noisy = shifted(scene, noise, rng)
-        try:
+        robot = shift(scene.robot)
+        blocks = tuple(replace(block, pose=shift(block.pose)) for block in scene.blocks)
+        noisy = replace(scene, robot=robot, blocks=blocks)
+        with suppress(InvalidSceneError):
             task.validate(noisy)
-        except InvalidSceneError as error:
-            reason = str(error)
-            continue
-        return noisy, dynamics
-    raise PlacementError(f"{env_id}: none of {MAX_SCENES} scenes with noise fits: {reason}")
+            return noisy, dynamics
+    raise PlacementError(f"{env_id}: none of {MAX_SCENES} scenes with noise {noise:g} fits")
 
 
 def reset_options(
@@ -74,8 +60,5 @@ def reset_options(
     """The options to reset a vector environment with, so that each row starts with noise."""
     if not noise:
         return None
-    scenes, dynamics = zip(
-        *(noisy_start(each, seed, noise) for each, seed in zip(env_ids, seeds, strict=True)),
-        strict=True,
-    )
-    return {"scene": scenes, "dynamics": dynamics}
+    starts = [noisy_start(each, seed, noise) for each, seed in zip(env_ids, seeds, strict=True)]
+    return {"scene": [scene for scene, _ in starts], "dynamics": [forces for _, forces in starts]}

@@ -57,8 +57,8 @@ def evaluate(
         nudge: the largest shift of initial poses, in units and radians, sampled from each rollout's
             seed; 1e-9 averages over what rounding decides on Demo (docs/determinism.md).
         num_envs: the most environments to step together (at least one for each environment id).
-        workers: processes that step the environments; by default one for each core. For a policy
-            with `in_processes` they run the policy too, by default in this process alone.
+        workers: threads that step the environments, or for a policy with `in_processes` processes
+            that run the policy too; by default one for each core.
         progress: called with the number of rollouts that have just ended.
 
     Returns:
@@ -178,17 +178,15 @@ class RepeatedEvaluation:
     Args:
         policy: see `Policy`; not one with `in_processes`.
         evaluation: how it is evaluated.
-        workers: processes in total, at least one for each task; 0 for none.
+        workers: threads.
     """
 
     def __init__(self, policy: Policy, evaluation: Evaluation, workers: int | None = None) -> None:
         groups = evaluation.by_task.values()
-        total = checked_workers(workers)
-        each = -(-total // len(groups))
         self._evaluation = evaluation
         with ExitStack() as stack:
             self._batches = [
-                stack.enter_context(_Rollouts(policy, evaluation, group, workers=each))
+                stack.enter_context(_Rollouts(policy, evaluation, group, workers=workers))
                 for group in groups
             ]
             self._stack = stack.pop_all()

@@ -87,14 +87,12 @@ class PixelSpec:
 
     @property
     def fields(self) -> ArrayFields:
-        """See `ObservationSpec`."""
         if self.separate:
             return {str(view): (self.shape(frames), np.uint8) for view, frames in self.parts}
         return {SINGLE: (self.shape(self._stacked), np.uint8)}
 
     @property
     def space(self) -> spaces.Space[Any]:
-        """See `ObservationSpec`."""
         boxes: dict[str, spaces.Space[Any]] = {
             name: spaces.Box(0, 255, shape, np.uint8) for name, (shape, _) in self.fields.items()
         }
@@ -102,17 +100,15 @@ class PixelSpec:
 
     @property
     def frames(self) -> int:
-        """See `ObservationSpec`."""
         return max(frames for _, frames in self.parts)
 
     @property
     def num_images(self) -> int:
-        """See `ObservationSpec`."""
         return len(self.parts)
 
     @property
     def network_shape(self) -> tuple[int, ...]:
-        """See `ObservationSpec`: (3 * frames, size, size)."""
+        """(3 * frames, size, size)."""
         if self.separate:
             raise ObservationError(
                 "observation: expected one array of images, found a dict of views; use a preset "
@@ -122,7 +118,6 @@ class PixelSpec:
 
     @property
     def components(self) -> "tuple[ViewComponent, ...]":
-        """See `ObservationSpec`."""
         return tuple(
             ViewComponent(view, frames, self.size, self.samples) for view, frames in self.parts
         )
@@ -132,7 +127,7 @@ class PixelSpec:
         return sum(frames for _, frames in self.parts)
 
     def network_input(self, observations: Any) -> NDArray[Any]:
-        """See `ObservationSpec`: images (B, C, H, W) uint8 that share the observations' memory."""
+        """Images (B, C, H, W) uint8 that share the observations' memory."""
         _ = self.network_shape  # raises for a dict of views
         expected = self.shape(self._stacked)
         array = np.asarray(observations)
@@ -158,17 +153,15 @@ class PixelSpec:
         return windows
 
     def picture(self, observation: Any) -> Pixels:
-        """See `ObservationSpec`: all frames side by side, by view, oldest first."""
+        """All frames side by side, by view, oldest first."""
         stacks = self.stacks(observation)
         frames = [np.split(stack, stack.shape[-1] // CHANNELS, axis=-1) for stack in stacks]
         return np.concatenate([frame for stack in frames for frame in stack], axis=1)
 
     def observer(self, out: Any = None) -> "PixelObserver":
-        """See `ObservationSpec`."""
         return PixelObserver(self, out)
 
     def read(self, source: EpisodeSource, times: ArrayLike, out: Any = None) -> Any:
-        """See `ObservationSpec`. A frame that several stacks share is rendered once."""
         steps = np.asarray(times, np.intp)
         out = empty(self.fields, steps.shape) if out is None else out
         for (view, frames), window in zip(self.parts, self.stacks(out), strict=True):
@@ -177,7 +170,6 @@ class PixelSpec:
         return out
 
     def to_dict(self) -> dict[str, Any]:
-        """See `ObservationSpec`."""
         return asdict(self)
 
 

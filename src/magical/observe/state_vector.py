@@ -70,38 +70,33 @@ class StateSpec:
 
     @property
     def space(self) -> spaces.Box:
-        """See `ObservationSpec`."""
         entries = (name.split(".")[1] for name in self.names)
         low, high = np.array([_bounds(entry) for entry in entries], np.float32).T
         return spaces.Box(low, high, dtype=np.float32)
 
     @property
     def fields(self) -> ArrayFields:
-        """See `ObservationSpec`."""
         return {SINGLE: ((self.size,), np.float32)}
 
     @property
     def frames(self) -> int:
-        """See `ObservationSpec`: 1, since velocities are part of the vector."""
+        """1, since velocities are part of the vector."""
         return 1
 
     @property
     def num_images(self) -> int:
-        """See `ObservationSpec`."""
         return 0
 
     @property
     def network_shape(self) -> tuple[int, ...]:
-        """See `ObservationSpec`."""
         return (self.size,)
 
     @property
     def components(self) -> "tuple[StateSpec]":
-        """See `ObservationSpec`: the vectors themselves."""
+        """The vectors themselves."""
         return (self,)
 
     def network_input(self, observations: Any) -> NDArray[Any]:
-        """See `ObservationSpec`."""
         array = np.asarray(observations)
         if array.dtype != np.float32 or array.shape[1:] != (self.size,):
             raise ObservationError(
@@ -111,14 +106,12 @@ class StateSpec:
         return array
 
     def picture(self, observation: Any) -> None:
-        """See `ObservationSpec`: None, as a vector is not an image."""
+        """None, as a vector is not an image."""
 
     def observer(self, out: NDArray[np.float32] | None = None) -> "StateObserver":
-        """See `ObservationSpec`."""
         return StateObserver(self, out)
 
     def read(self, source: EpisodeSource, times: ArrayLike, out: Any = None) -> Any:
-        """See `ObservationSpec`."""
         bodies = source.body_states()
         observer = self.observer()
         observer.start(source.scene, bodies[0])
@@ -129,7 +122,7 @@ class StateSpec:
         return np.take(vectors, np.asarray(times, np.intp), axis=0, out=out)
 
     def to_dict(self) -> str:
-        """See `ObservationSpec`: the size follows from the task."""
+        """The size follows from the task."""
         return STATE
 
 

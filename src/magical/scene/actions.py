@@ -73,10 +73,12 @@ _GRIP = {Gripper.OPEN: -1.0, Gripper.CLOSED: 1.0}
 # Each discrete action as a continuous one.
 POINTS = tuple((_DRIVE[a.longitudinal], _TURN[a.turn], _GRIP[a.gripper]) for a in ACTIONS)
 
+_POINTS = np.array(POINTS)
+
 
 def to_continuous(actions: ArrayLike) -> NDArray[np.float64]:
     """Discrete actions (...,) as continuous ones (..., 3), which produce the same motions."""
-    return np.array(POINTS)[np.asarray(actions, np.intp)]
+    return _POINTS[np.asarray(actions, np.intp)]
 
 
 def to_discrete(actions: ArrayLike) -> NDArray[np.int64]:
