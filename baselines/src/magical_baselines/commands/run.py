@@ -78,7 +78,7 @@ def run(args: argparse.Namespace) -> int:
         out,
         RayTasks(out, args.address, cores, args.gpus)
         if on_cluster
-        else Processes.for_runs(runs, args.workers),
+        else Processes(runs, args.workers),
         references=planned_references(plan),
         workers=args.workers or available_cores(),
         retry_failed=args.retry_failed,
