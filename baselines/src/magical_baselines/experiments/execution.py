@@ -247,7 +247,10 @@ def planned_state(run: PlannedRun, out: Path) -> str | None:
     folder = out / RUNS / run.folder
     result, different = read_result(folder), ""
     if result:
-        different = differences(_flat(run.settings()), _flat(result["settings"]))
+        wanted, found = run.settings(), result["settings"]
+        # An option that is newer than the record, as of a study, cannot differ.
+        config = {name: found["config"].get(name, x) for name, x in wanted["config"].items()}
+        different = differences(_flat(wanted), _flat({**found, "config": config}))
     elif is_run(folder):
         different = differences(run.config.to_dict(), read_json(folder / CONFIG))
     if different:

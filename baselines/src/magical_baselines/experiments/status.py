@@ -1,11 +1,4 @@
-"""The states of a plan's runs, from the files of its results folder alone (docs/experiments.md).
-
-- `plan.json`: the runs of the plan, in its order
-- `demos/`: demonstrations generated for the plan
-- `references/POLICY-TASK/`: the entry of a reference policy
-- `runs/FOLDER/`: a run's folder, with its entry and last of all `result.json`
-- `runs/.FOLDER.lock`: locked while the run is in progress
-"""
+"""The states of a plan's runs, from the files of its results folder alone (docs/experiments.md)."""
 
 import shlex
 from collections import Counter
