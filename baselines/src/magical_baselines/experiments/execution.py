@@ -41,12 +41,15 @@ ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_
 
 
 class Processes:
-    """A process on this machine for each run, `count` at a time; they take turns on its GPUs.
+    """A process on this machine for each run, which take turns on its GPUs.
 
-    A process that is killed costs its run alone. All end with this process, however it ends.
+    There are `workers` at a time, by default as many as there are cores for the runs' threads. A
+    process that is killed costs its run alone. All end with this process, however it ends.
     """
 
-    def __init__(self, count: int) -> None:
+    def __init__(self, runs: Sequence[PlannedRun], workers: int | None = None) -> None:
+        threads = max((run.config.threads for run in runs), default=1)
+        count = workers or max(1, available_cores() // threads)
         self._threads = ThreadPoolExecutor(count)
         self._environs: SimpleQueue[Mapping[str, str]] = SimpleQueue()
         gpus = [{"CUDA_VISIBLE_DEVICES": gpu} for gpu in visible_gpus()]
@@ -54,12 +57,6 @@ class Processes:
             self._environs.put(environ)
         self._children: set[subprocess.Popen[bytes]] = set()
         self._lock, self._stopped = Lock(), False
-
-    @classmethod
-    def for_runs(cls, runs: Sequence[PlannedRun], workers: int | None = None) -> "Processes":
-        """`workers` processes, by default as many as there are cores for the runs' threads."""
-        threads = max((run.config.threads for run in runs), default=1)
-        return cls(workers or max(1, available_cores() // threads))
 
     def submit(self, work: Planned, folder: Path, demos: Path | None) -> "Future[None]":
         """Call `one_run.finish` in a process; `WorkerDiedError` in the future if it is killed."""
@@ -250,7 +247,10 @@ def planned_state(run: PlannedRun, out: Path) -> str | None:
     folder = out / RUNS / run.folder
     result, different = read_result(folder), ""
     if result:
-        different = differences(_flat(run.settings()), _flat(result["settings"]))
+        wanted, found = run.settings(), result["settings"]
+        # An option that is newer than the record, as of a study, cannot differ.
+        config = {name: found["config"].get(name, x) for name, x in wanted["config"].items()}
+        different = differences(_flat(wanted), _flat({**found, "config": config}))
     elif is_run(folder):
         different = differences(run.config.to_dict(), read_json(folder / CONFIG))
     if different:
