@@ -175,7 +175,6 @@ def run_generate(args: argparse.Namespace) -> int:
     """`magical demos generate`."""
     from magical.demos import Dataset
     from magical.demos.generate import generate
-    from magical.demos.summary import find_duplicates
     from magical.envs import parse_env_id
     from magical.progress import ProgressBar
 
@@ -193,7 +192,7 @@ def run_generate(args: argparse.Namespace) -> int:
             for r in reports
         ],
     )
-    if copies := find_duplicates(Dataset.open(args.out).entries):
+    if copies := Dataset.open(args.out).duplicates():
         log(
             f"warning: {args.out}: demonstrations that duplicate earlier ones: {len(copies)}; in "
             "the same scene, an expert repeats itself unless its actions are perturbed (--perturb)"
@@ -205,10 +204,10 @@ def run_generate(args: argparse.Namespace) -> int:
 def run_info(args: argparse.Namespace) -> int:
     """`magical demos info`."""
     from magical.demos import Dataset
-    from magical.demos.summary import find_duplicates, summarise
+    from magical.demos.summary import summarise
 
-    entries = Dataset.open(args.dataset).entries
-    summaries, duplicates = summarise(entries), find_duplicates(entries)
+    dataset = Dataset.open(args.dataset)
+    summaries, duplicates = summarise(dataset.entries), dataset.duplicates()
     columns = "environment", "count", "poses", "labels", "steps", "score", "published rule"
     rows = [
         (
@@ -225,7 +224,7 @@ def run_info(args: argparse.Namespace) -> int:
     print_table((*columns, "kB each", "actions", "by"), rows)
     print("labels: trajectories with expert actions in addition to the executed ones.")
     _log_duplicates(duplicates)
-    plain = {"count": len(entries), "environments": summaries, "duplicates": duplicates}
+    plain = {"count": len(dataset), "environments": summaries, "duplicates": duplicates}
     print_json(args, plain)
     return 0
 

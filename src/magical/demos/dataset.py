@@ -205,6 +205,12 @@ class Dataset(Sequence[Trajectory]):
         chosen = sorted(rng.choice(len(self), count, replace=False).tolist())
         return Dataset(self.path, [self.entries[i] for i in chosen])
 
+    def duplicates(self) -> list[tuple[str, str]]:
+        """Pairs (later, earlier) of files of one environment with the same actions and motions."""
+        first: dict[tuple[str, str], Entry] = {}
+        pairs = [(e, first.setdefault((e.env_id, e.fingerprint), e)) for e in self.entries]
+        return [(later.name, earlier.name) for later, earlier in pairs if later is not earlier]
+
     def action_space(self) -> ActionSpaceName:
         """The kind of actions that all trajectories can have: continuous if any have those."""
         spaces = {entry.action_space for entry in self.entries}

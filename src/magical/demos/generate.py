@@ -69,6 +69,7 @@ def generate(
     check_share("perturb", perturb)
     if number < 1 or workers < 1:
         raise ValueError(f"number, workers: expected at least 1, found {number}, {workers}")
+    modules = modules_of(parsed.task) if workers > 1 else []
     writer = DatasetWriter(out)
     known = {
         entry.seed: entry.final_score
@@ -76,7 +77,6 @@ def generate(
         if (entry.env_id, entry.demonstrator) == (parsed, "expert")
         and entry.metadata.get("perturb") == perturb
     }
-    modules = modules_of(parsed.task) if workers > 1 else []
     make = with_tasks(partial(demonstrate, parsed, perturb=perturb), modules)
     series = (episode_seed(seed, attempt) for attempt in count(first))
     scores, dropped, already = list[float](), 0, 0

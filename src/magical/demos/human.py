@@ -244,7 +244,7 @@ def _demonstration(data: Any, source: Mapping[str, str]) -> PublishedDemonstrati
     record, env_name, score = data["trajectory"], data["env_name"], data["score"]
     if not re.fullmatch(r"\w+-Demo-v0", env_name):  # no module's name, which would be imported
         raise UnsafeFileError(f"expected a Demo environment, found {quoted(env_name)}")
-    if not 0.0 <= score <= 1.0:
+    if not isinstance(score, int | float) or not 0.0 <= score <= 1.0:
         raise UnsafeFileError(f"score: expected a number from 0 to 1, found {quoted(score)}")
     if len(record.obs) * math.prod(_SHAPE) > MAX_UNPACKED:  # frames may be shared
         raise UnsafeFileError(f"obs: expected fewer, found {len(record.obs)}")

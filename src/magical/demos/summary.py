@@ -40,12 +40,6 @@ def _mean(values: Iterable[float | None]) -> float | None:
     return sum(known) / len(known) if known else None
 
 
-def find_duplicates(entries: Iterable[Entry]) -> list[tuple[str, str]]:
-    """Pairs (later, earlier) of files of one environment with the same actions and motions."""
-    groups = group_by(entries, attrgetter("env_id", "fingerprint")).values()
-    return [(later.name, first.name) for first, *others in groups for later in others]
-
-
 @dataclass(frozen=True, slots=True)
 class Replay:
     """The outcome of replaying one trajectory."""
