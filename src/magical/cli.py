@@ -34,7 +34,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         with _termination_as_interrupt(), warnings.catch_warnings():
             warnings.showwarning = _show_warning
-            arguments = build_parser().parse_args(_import_modules(argv) or ["--help"])
+            words = _import_modules(argv) or ["--help"]
+            arguments = build_parser(words[0]).parse_args(words)
             status = int(arguments.run(arguments))
         print(end="", flush=True)  # there may be no standard output to flush
     except SystemExit as stop:  # argparse: --help, --version, wrong usage
@@ -74,8 +75,8 @@ def _termination_as_interrupt() -> Iterator[None]:
             signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
-def build_parser() -> argparse.ArgumentParser:
-    """The parser of the whole command line."""
+def build_parser(command: str = "") -> argparse.ArgumentParser:
+    """The parser of the whole command line, or of one command if it is known."""
     parser = _Parser(
         prog="magical", description="The MAGICAL benchmark for robust imitation learning."
     )
@@ -83,7 +84,7 @@ def build_parser() -> argparse.ArgumentParser:
     _add_import(parser)
     parser.add_argument("--env-name", action=_PublishedOption, help=argparse.SUPPRESS)
     subparsers = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for name, module in find_commands():
+    for name, module in find_commands(command):
         sub = subparsers.add_parser(name, help=module.HELP, description=module.__doc__)
         module.configure(sub)
         sub.set_defaults(run=module.run)
@@ -136,9 +137,13 @@ def _add_import(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def find_commands() -> Iterator[tuple[str, ModuleType]]:
-    """Every command's name and module, alphabetically; names with an underscore are helpers."""
-    for name in sorted(entry.name for entry in pkgutil.iter_modules(commands.__path__)):
+def find_commands(command: str = "") -> Iterator[tuple[str, ModuleType]]:
+    """Every command's name and module, alphabetically, or only one if it is known.
+
+    Names with an underscore are helpers.
+    """
+    names = sorted(entry.name for entry in pkgutil.iter_modules(commands.__path__))
+    for name in [command] if command in names else names:
         if not name.startswith("_"):
             yield name, importlib.import_module(f"{commands.__name__}.{name}")
 

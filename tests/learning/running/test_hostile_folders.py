@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from magical.evaluation.entry import record_of
 
 from magical import plugins
 from magical.cli import main
 from magical.envs.seeds import evaluation_seed
 from magical.errors import MagicalError, PluginError
 from magical.evaluation import Entry, RolloutScore, environments
+from magical.evaluation.entry import record_of
 from magical.evaluation.protocol import Evaluation
 from magical.learning import load_policy, read_config, train
 from magical.learning.algorithms.bc import BCConfig
