@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from magical.report.figures.clips import record_rollouts
 from torch import Tensor, nn
 
 from magical import evaluation
@@ -19,6 +18,7 @@ from magical.evaluation.protocol import Evaluation
 from magical.learning import NetworkPolicy, is_run, load_policy, train
 from magical.learning.algorithms.bc import BCConfig
 from magical.observe import NAMED, PRESETS
+from magical.report.figures import record_rollouts
 from magical.runs.folder import CHECKPOINT
 from tests.learning.conftest import TASKS
 from tests.learning.tiny_runs import CPU

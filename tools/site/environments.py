@@ -5,13 +5,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from magical.report.found.search import Result
-from magical.report.leaderboard.ranking import WITH_PRIOR
 
 from magical.compiled.cache import digest_of
 from magical.envs import all_env_ids, parse_env_id
 from magical.evaluation import by_variant, published_methods, published_score, published_tasks
-from magical.report.leaderboard import Leaderboard
+from magical.report.found import Result
+from magical.report.leaderboard import WITH_PRIOR, Leaderboard
 from magical.scene.constants import CONTROL_RATE
 from magical.tasks import TASKS, VARIANTS, Task
 from magical.tasks.axes import short_variant

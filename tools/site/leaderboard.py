@@ -2,16 +2,13 @@
 
 from collections.abc import Iterator
 
-from magical.report.leaderboard.checks import by_reasons
-from magical.report.leaderboard.ranking import Board, Standing
-from magical.report.scores.summaries import interval_text
-
-from magical.report.leaderboard import Leaderboard
-from magical.runs.sources import CLASSES, SOURCES
+from magical.report.leaderboard import Board, Leaderboard, Standing, by_reasons
+from magical.report.table import interval_text
+from magical.runs.sources import SOURCES, TRACKS
 from tools.readme_tables import table
 
 NO_BREAK = "\u00a0"  # a no-break space, to keep figures on one line
-HEADER = ("Rank", "Method", "TestAll", "Gap", "Class", "Used", "Demonstrations", "Over")
+HEADER = ("Rank", "Method", "TestAll", "Gap", "Track", "Used", "Demonstrations", "Over")
 
 
 def pages(board: Leaderboard) -> dict[str, str | bytes]:
@@ -30,8 +27,8 @@ def _parts(board: Leaderboard) -> Iterator[str]:
         "state; it is not ranked. Methods with a prior made for this benchmark are ranked "
         "separately; †: test variants had been evaluated while the method was designed."
     )
-    classes = ((name, SOURCES[source]) for name, source in CLASSES.items())
-    yield table(("Class", "What it may use"), classes)
+    classes = ((name, SOURCES[source]) for name, source in TRACKS.items())
+    yield table(("Track", "What it may use"), classes)
     for part in board.boards:
         yield f"## {part.name}\n\n{_standings(part)}"
     yield "## Not ranked\n\nEntries of the studies that were evaluated in another way:"
@@ -51,7 +48,7 @@ def _row(row: Standing) -> list[object]:
         row.label + row.statements.mark,
         interval_text(row.test_all, row.unit).replace(" ", NO_BREAK) + row.runs_apart,
         interval_text(row.gap, row.unit).replace(" ", NO_BREAK),
-        row.learning_class or "–",
+        row.track or "–",
         ", ".join(row.used) or "nothing",
         row.statements.demonstrations or "–",
         row.unit,

@@ -1,15 +1,20 @@
 """The scene of every environment and a rollout of its scripted expert, as image files."""
 
+import io
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
-from magical.report.figures.clips import Clip, encoded
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
 
 from magical.demos.generate import demonstrate
 from magical.demos.store.reader import Frames
 from magical.envs import EnvId
 from magical.processes import checked_workers, map_in_processes
+from magical.report.figures import Clip
 from magical.scene import View
 from magical.scene.constants import CONTROL_RATE
 from tools.site.descriptions import describe_scene
@@ -62,3 +67,10 @@ def _make(seed: int, env_id: EnvId) -> EnvPreview:
         clip.webp(SPEED * CONTROL_RATE, EFFORT, lossless=True),
         clip.score,
     )
+
+
+def encoded(pixels: NDArray[np.uint8], kind: str, **options: Any) -> bytes:
+    """An (H, W, 3) image encoded in a format such as `PNG`; `options` are Pillow's."""
+    file = io.BytesIO()
+    Image.fromarray(pixels).save(file, kind, **options)
+    return file.getvalue()

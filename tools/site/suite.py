@@ -4,13 +4,12 @@ import csv
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from magical.report.figures.clips import encoded
-
 from magical.render import render_frame
 from magical.scene import Poses, View
 from magical.tasks import Task, get_task
 from magical.tasks.programs.suite import HELD_OUT, TRAINING, task_name
 from tools.readme_tables import table
+from tools.site.previews import encoded
 
 FOLDER = "suite"
 EXPERT = Path("studies/generated_tasks/expert.csv")
