@@ -1,7 +1,6 @@
-"""Run folders of any origin: special files, damaged records, states of other programs."""
+"""Run folders of any origin: damaged records, states of other programs."""
 
 import json
-import os
 import shutil
 import sys
 from collections import Counter
@@ -59,15 +58,6 @@ def use(folder: Path, config: BCConfig) -> None:
     load_policy(folder)
     read_metrics(folder)
     train(config, folder, resume=True)
-
-
-@pytest.mark.posix
-@pytest.mark.parametrize("name", [CONFIG, RECORD, METRICS, CHECKPOINT])
-def test_special_files_are_refused(name: str, folder: Path, config: BCConfig) -> None:
-    (folder / name).unlink()
-    os.mkfifo(folder / name)
-    with pytest.raises(MagicalError, match=r"run"):
-        use(folder, config)
 
 
 def replaced(node: Any, rng: np.random.Generator) -> Any:
