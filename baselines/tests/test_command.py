@@ -105,12 +105,11 @@ def test_an_evaluated_run_says_what_it_is_and_can_be_verified(
     assert main(bc(demos, run)) == 0
     options = ["--variants", "Demo", "--rollouts", "3", "--horizon", "5", "--workers", "0"]
     assert main(["evaluate", str(run), *options, "--out", str(entry)]) == 0
-    details = read_entry(entry).details
-    assert details["policy"] == "../../run"
-    assert details["algorithm"] == "bc"
-    assert details["learned_from"] == ["demonstrations"]
-    assert set(details) >= {"training_seed", "demonstrations", "versions", "commit", "machine"}
-    assert details["threads"] == get_num_threads()
+    record = read_entry(entry).record
+    assert (record.policy, record.algorithm) == ("../../run", "bc")
+    assert record.learned_from == ("demonstrations",)
+    assert record.versions
+    assert record.threads == get_num_threads()
     again = ["evaluate", str(run), *options, "--out", str(entry), "--training-seed"]
     assert main([*again, "7"]) == 2
     assert f"--training-seed 7: {run} records 0; leave the option out" in capsys.readouterr().err
@@ -122,7 +121,7 @@ def test_an_evaluated_run_says_what_it_is_and_can_be_verified(
     linked = tmp_path / "link" / "run"
     assert main(["evaluate", str(run), *options, "--out", str(linked)]) == 0
     assert main(["verify", str(linked), "--workers", "0"]) == 0
-    assert find_results([linked, run]).not_evaluated == []
+    assert len(find_results([linked, run]).results) == 1
 
 
 def test_an_unfinished_run_says_so_wherever_it_is_evaluated(
@@ -137,7 +136,7 @@ def test_an_unfinished_run_says_so_wherever_it_is_evaluated(
     expected = {"done": 1, "planned": 4}
     assert json.loads(captured.out.splitlines()[-1])["unfinished"] == expected
     assert f"warning: {run}: training is unfinished: 1 of 4 updates are done" in captured.err
-    assert read_entry(run).details["updates"] == expected
+    assert read_entry(run).record.updates == (1, 4)
     assert main(["report", str(run)]) == 0
     assert "run (unfinished: 1 of 4 updates)" in capsys.readouterr().out
     assert any("unfinished (1 of 4 updates)" in fault for fault in faults(read_entry(run)))

@@ -1,4 +1,4 @@
-"""Run folders of any origin: special files, damaged records, states of other programs."""
+"""Run folders of any origin: damaged records, states of other programs."""
 
 import json
 import shutil

@@ -49,7 +49,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             warnings.showwarning = _show_warning
             words = _import_modules(argv) or ["--help"]
             _require_companion(words)
-            arguments = build_parser().parse_args(words)
+            arguments = build_parser(words[0]).parse_args(words)
             status = int(arguments.run(arguments))
         print(end="", flush=True)  # there may be no standard output to flush
     except SystemExit as stop:  # argparse: --help, --version, wrong usage
@@ -89,8 +89,8 @@ def _termination_as_interrupt() -> Iterator[None]:
             signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
-def build_parser() -> argparse.ArgumentParser:
-    """The parser of the whole command line."""
+def build_parser(command: str = "") -> argparse.ArgumentParser:
+    """The parser of the whole command line, or of one command if it is known."""
     parser = _Parser(
         prog="magical", description="The MAGICAL benchmark for robust imitation learning."
     )
@@ -98,7 +98,7 @@ def build_parser() -> argparse.ArgumentParser:
     _add_import(parser)
     parser.add_argument("--env-name", action=_PublishedOption, help=argparse.SUPPRESS)
     subparsers = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for name, module in find_commands().items():
+    for name, module in find_commands(command).items():
         sub = subparsers.add_parser(name, help=module.HELP, description=module.__doc__)
         module.configure(sub)
         sub.set_defaults(run=module.run)
@@ -151,13 +151,19 @@ def _add_import(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def find_commands() -> dict[str, ModuleType]:
-    """Every command's module by name, alphabetically; names with an underscore are helpers."""
-    found = {name: load_plugin(GROUP, name) for name in plugins(GROUP)}
-    for entry in pkgutil.iter_modules(commands.__path__):
-        if not entry.name.startswith("_"):
-            found[entry.name] = importlib.import_module(f"{commands.__name__}.{entry.name}")
-    return dict(sorted(found.items()))
+def find_commands(command: str = "") -> dict[str, ModuleType]:
+    """Every command's module by name, alphabetically, or only that of one if it is known.
+
+    Files whose names begin with an underscore are helpers.
+    """
+    files = [entry.name for entry in pkgutil.iter_modules(commands.__path__)]
+    names = sorted({*plugins(GROUP), *(name for name in files if not name.startswith("_"))})
+    return {
+        name: importlib.import_module(f"{commands.__name__}.{name}")
+        if name in files
+        else load_plugin(GROUP, name)
+        for name in ([command] if command in names else names)
+    }
 
 
 def _require_companion(words: Sequence[str]) -> None:

@@ -102,8 +102,6 @@ SPOILT: dict[str, Callable[[Path, bytes], object]] = {
     "cut": lambda path, intact: path.write_bytes(intact[:-1]),
     "foreign": lambda path, _: path.write_bytes(hashlib.sha256(FOREIGN).digest() + FOREIGN),
     "folder": lambda path, intact: path.mkdir(),
-    "FIFO": lambda path, intact: os.mkfifo(path),
-    "endless device": lambda path, intact: path.symlink_to("/dev/zero"),
 }
 
 

@@ -48,40 +48,24 @@ Count = Annotated[int, Meta(ge=0)]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Record:
-    """What a policy was made from, and what evaluated it; `None` or empty if not stated.
+    """What a policy was made from, and what evaluated it; `None` or empty if not stated."""
 
-    Attributes:
-        policy: what was evaluated: a run folder relative to the entry, or a policy's name.
-        learned_from: terms of `magical.runs.sources.SOURCES`.
-        demonstrations: how many and whose.
-        num_demos: demonstrations of each task.
-        pretrained_on: the tasks that a network was pre-trained on.
-        algorithm, preset: of the training run.
-        training_seed: of the training run.
-        updates: the updates of training that are done, and those planned.
-        test_evaluations: how often test variants were evaluated while the method was designed.
-        threads: CPU threads that the acting network used.
-        date: when the evaluation began, ISO 8601.
-        versions, commit, machine: what evaluated it.
-        notes: authors, links, and whatever else there is to say.
-    """
-
-    policy: Text = ""
-    learned_from: tuple[Text, ...] | None = None
-    demonstrations: Text = ""
-    num_demos: Count | None = None
-    pretrained_on: tuple[Text, ...] = ()
+    policy: Text = ""  # a run folder relative to the entry, or a policy's name
+    learned_from: tuple[Text, ...] | None = None  # terms of `magical.runs.sources.SOURCES`
+    demonstrations: Text = ""  # how many and whose
+    num_demos: Count | None = None  # of each task
+    pretrained_on: tuple[Text, ...] = ()  # tasks
     algorithm: Text = ""
     preset: Text = ""
     training_seed: int | None = None
-    updates: tuple[Count, Count] | None = None
-    test_evaluations: Count | None = None
-    threads: Annotated[int, Meta(ge=1, le=MAX_THREADS)] | None = None
-    date: Text = ""
+    updates: tuple[Count, Count] | None = None  # of training: done, planned
+    test_evaluations: Count | None = None  # of test variants, while the method was designed
+    threads: Annotated[int, Meta(ge=1, le=MAX_THREADS)] | None = None  # of the acting network
+    date: Text = ""  # when the evaluation began, ISO 8601
     versions: dict[Text, Text] = field(default_factory=dict)
     commit: Text | None = None
     machine: dict[Text, Text] = field(default_factory=dict)
-    notes: Annotated[str, Meta(max_length=2000)] = ""
+    notes: Annotated[str, Meta(max_length=2000)] = ""  # authors, links
 
     def __post_init__(self) -> None:
         for name in self.learned_from or ():
@@ -95,12 +79,9 @@ class Record:
 
 
 def record_of(policy: Policy, name: str, out: Path) -> Record:
-    """What an entry written to `out` records about a policy and its evaluation now.
+    """What an entry in the folder `out` records about a policy and its evaluation now.
 
-    Args:
-        policy: the policy, whose `record` is included.
-        name: a run folder, which is recorded relative to `out`, or another policy's name.
-        out: the entry's folder.
+    `name` is a run folder, which is recorded relative to `out`, or another policy's name.
     """
     if Path(name).is_dir():  # `..` of a link is elsewhere
         name = os.path.relpath(Path(name).resolve(), out.resolve())
@@ -113,21 +94,13 @@ def record_of(policy: Policy, name: str, out: Path) -> Record:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Entry:
-    """One training run's evaluation: how it was done, what was learned from, every score.
+    """One training run's evaluation: how it was done, what was learned from, every score."""
 
-    Attributes:
-        method: the method's name in tables.
-        evaluated: how the policy was evaluated.
-        record: what it was made from.
-        scores: the score of every rollout.
-        version: the version of this package.
-    """
-
-    method: str
+    method: str  # its name in tables
     evaluated: Evaluated
     record: Record = field(default_factory=Record)
     scores: Sequence[RolloutScore] = field(default=(), repr=False)
-    version: str = __version__
+    version: str = __version__  # of this package
 
     def __post_init__(self) -> None:
         stated = (("method", self.method), ("observation", self.evaluated.observation))
@@ -155,6 +128,11 @@ class Entry:
     def observation(self) -> str:
         """What the policy was shown, as text."""
         return str(self.evaluated.observation or "")
+
+    @property
+    def tasks(self) -> tuple[str, ...]:
+        """The tasks that the policy was evaluated on."""
+        return tuple(dict.fromkeys(env_id.task for env_id in self.evaluated.env_ids))
 
     def evaluation(self, policy: Policy) -> Evaluation:
         """The evaluation to repeat with the entry's policy."""
@@ -263,12 +241,7 @@ def make_entry(data: dict[str, Any], scores: Sequence[RolloutScore], stated_in: 
 
 
 def read_entry(folder: Path | str) -> Entry:
-    """Read what `Entry.write` wrote, and check it against the protocol.
-
-    Raises:
-        ScoresError: a file is missing or damaged, or the rollouts are not the protocol's; the
-            message says which and what was expected.
-    """
+    """Read what `Entry.write` wrote; raises `ScoresError` if it breaks format or protocol."""
     source = Path(folder)
     for name in (SCORES_FILE, ENTRY_FILE):
         if not (source / name).exists():
@@ -317,8 +290,7 @@ def write_collection(folder: Path, entries: Mapping[str, Entry]) -> None:
 def read_collection(folder: Path) -> dict[str, Entry | ScoresError]:
     """Read every entry by name; for a damaged one the value is its error.
 
-    Raises:
-        ScoresError: a file is missing or damaged; the message says which and what was expected.
+    Raises `ScoresError` if a file is missing or damaged.
     """
     stated = read_json(
         folder / ENTRIES_FILE, dict[str, dict[str, Any]], ScoresError, max_bytes=COLLECTION_BYTES

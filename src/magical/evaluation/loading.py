@@ -51,22 +51,18 @@ PolicySource = str | os.PathLike[str] | Acting | Callable[..., Any]  # for `load
 def load_policy(source: PolicySource) -> Policy:
     """Load a policy from whatever describes one.
 
-    Args:
-        source: one of
-
-            - a name in `BUILT_IN`, or of another distribution's entry point;
-            - `lerobot:PATH`, or another entry point's name and what it loads;
-            - a run folder, whose newest checkpoint is loaded by the entry point `run`;
-            - `module:name` or `path/to/file.py:name`. The working directory is searched last for
-              the module, and only if it is found nowhere else;
-            - a policy, or what such a name may refer to: an object with `act`, and `reset` if it
-              has memory; a class or function that returns one when called without arguments; or a
-              plain function `(observations, env_ids, rng) -> actions`.
+    - a name in `BUILT_IN`, or of another distribution's entry point;
+    - `lerobot:PATH`, or another entry point's name and what it loads;
+    - a run folder, whose newest checkpoint is loaded by the entry point `run`;
+    - `module:name` or `path/to/file.py:name`. The working directory is searched last for the
+      module, and only if it is found nowhere else;
+    - a policy, or what such a name may refer to: an object with `act`, and `reset` if it has
+      memory; a class or function that returns one when called without arguments; or a plain
+      function `(observations, env_ids, rng) -> actions`.
 
     Raises:
         UnknownNameError: a text in none of these forms.
-        PluginError: the module or the name in it cannot be found.
-        PolicyError: it is not a policy.
+        PluginError, PolicyError: what it names cannot be imported, or is not a policy.
         RunFolderError, CheckpointError: the folder holds no run, or a damaged one.
         MissingDependencyError: what loads it is not installed.
     """
@@ -108,16 +104,8 @@ def policy_names() -> tuple[str, ...]:
 def policy_of(folder: Path, entry: Entry, run: Path | None = None) -> Policy:
     """The policy of an evaluated run: from its run folder, or by a name in `policy_names`.
 
-    Other code that an entry names is not run, since entries may come from anywhere.
-
-    Args:
-        folder: the entry's folder.
-        entry: the entry.
-        run: the run folder if the entry names none; by default `folder`.
-
-    Raises:
-        PolicyError: the entry has no such policy.
-        RunFolderError, CheckpointError: the run cannot be loaded.
+    Other code that an entry names is not run, since entries may come from anywhere. `run` is the
+    run folder if the entry names none. Raises `PolicyError` if it has no such policy.
     """
     name = entry.record.policy
     if name in policy_names():
@@ -134,8 +122,7 @@ def policy_of(folder: Path, entry: Entry, run: Path | None = None) -> Policy:
 def recorded_threads(policy: Policy, entry: Entry) -> AbstractContextManager[None]:
     """A context in which a policy uses as many CPU threads as in an entry's evaluation.
 
-    Another number may change the last bit of a network's arithmetic. Nothing changes if the entry
-    records no number, or the policy has no `using_threads`.
+    Another number may change the last bit of a network's arithmetic.
     """
     using: Callable[[int], AbstractContextManager[None]] | None
     using = getattr(policy, "using_threads", None)

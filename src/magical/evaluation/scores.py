@@ -34,19 +34,10 @@ MAX_LINE = 2000  # characters
 def parse_rows(
     text: IO[str], header: Sequence[str], what: object, most: int
 ) -> Iterator[tuple[list[str], RolloutScore]]:
-    """The rows of a CSV file of any origin, bounded in length and number.
+    """The columns before `HEADER` and the score of each row of a CSV file of any origin.
 
-    Args:
-        text: the file.
-        header: its columns: any, then `HEADER`.
-        what: its path, with which messages begin.
-        most: the largest number of rows.
-
-    Yields:
-        The columns before `HEADER`, and the score.
-
-    Raises:
-        ScoresError: another header, too many rows, or a row that is not of a rollout.
+    Rows are bounded in length, and `most` is their largest number. Raises `ScoresError`, with
+    `what` at the beginning, for another header or a row that is not of a rollout.
     """
     # A longer line is read in parts, which are not valid rows.
     lines = csv.reader(iter(partial(text.readline, MAX_LINE), ""))
@@ -87,11 +78,7 @@ def _parse_env_id(text: str) -> EnvId:
 
 
 def check_protocol(scores: Iterable[RolloutScore], seed: int) -> None:
-    """Check that every environment has the same rollouts, each once, with the protocol's seeds.
-
-    Raises:
-        ScoresError: the message names the environment, and what is missing, duplicated or wrong.
-    """
+    """Check that every environment has the same rollouts, each once, with the protocol's seeds."""
     rollouts: dict[EnvId, set[int]] = {}
     for row in scores:
         seen = rollouts.setdefault(row.env_id, set())

@@ -59,17 +59,11 @@ class OverRollouts(Interval):
 def t_interval(
     value: float, strata: Sequence[Floats], confidence: float, bounds: tuple[float, float]
 ) -> Interval:
-    """Student's t interval of a sum of contributions from independent strata.
+    """Student's t interval, with Welch's degrees of freedom, of a sum from independent strata.
 
-    Args:
-        value: the estimate.
-        strata: for each stratum, the contributions of its runs, (runs,); all together they sum to
-            the estimate, or differ from it by a constant.
-        confidence: nominal coverage.
-        bounds: the smallest and the largest possible value.
-
-    Returns:
-        The interval with Welch's degrees of freedom; its ends are NaN if a stratum has one run.
+    `strata` are the contributions of each stratum's runs, (runs,), which sum to `value` or differ
+    from it by a constant; `bounds` are the smallest and the largest possible value. The ends are
+    NaN if a stratum has one run.
     """
     degrees = [len(stratum) - 1.0 for stratum in strata]
     if not all(degrees):
@@ -85,11 +79,7 @@ def welch_interval(
     confidence: float,
     bounds: tuple[float, float],
 ) -> Interval:
-    """Student's t interval of a sum of independent parts, with Welch's degrees of freedom.
-
-    `variances` (parts,) are those of the parts, `degrees` their degrees of freedom; the others are
-    as for `t_interval`.
-    """
+    """As `t_interval`, from the variances of independent parts and their degrees of freedom."""
     from scipy.special import stdtrit  # slow to import
 
     if not 0.0 < confidence < 1.0:
@@ -117,10 +107,9 @@ def wilson_interval(value: float, count: float, confidence: float = CONFIDENCE) 
 def rollout_mean(scores: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
     """The mean of one policy's rollouts (rollouts,) in one environment, with a Wilson interval.
 
-    For scores of 0 and 1 it is Wilson's interval (1927). In general it is Wilson's for an effective
-    number of zeros and ones, whose mean has the same variance: rollouts x p (1 - p) / variance, as
-    in surveys (Korn and Graubard, 1998). If all scores are equal, that number is the number of
-    rollouts.
+    For scores of 0 and 1 it is Wilson's interval (1927); in general for the effective number of
+    zeros and ones whose mean has the same variance, as in surveys (Korn and Graubard, 1998):
+    rollouts x p (1 - p) / variance, or the number of rollouts if all scores are equal.
     """
     rollouts = np.asarray(scores, np.float64)
     if rollouts.ndim != 1 or not rollouts.size:
@@ -168,13 +157,7 @@ def by_environment(
 def run_means(
     runs: Sequence[Iterable[RolloutScore]], env_ids: Iterable[str], rule: str = "score"
 ) -> Floats:
-    """Each run's mean score in each environment (runs, environments); NaN where it has none.
-
-    Args:
-        runs: every run's rollouts, such as `Entry.scores`.
-        env_ids: the columns' environments.
-        rule: one of `RULES`.
-    """
+    """Each run's mean score in each environment (runs, environments); NaN where it has none."""
     scores = [by_environment(run, rule) for run in runs]
     ids = [parse_env_id(env_id).without_preset for env_id in env_ids]
     return np.array(
@@ -190,13 +173,8 @@ def over_rollouts(
 ) -> OverRollouts:
     """The weighted sum of the environments' means, with an interval over the runs' rollouts.
 
-    It is for methods with few runs, or whose runs do not differ.
-
-    Args:
-        runs: every run's rollouts, with at least one in each environment.
-        env_ids: the environments.
-        weights: (environments,), such as 1 / number of environments, or `gap_weights`.
-        rule: one of `RULES`.
+    It is for methods with few runs, or whose runs do not differ. `weights` (environments,) are for
+    instance 1 / number of environments, or `gap_weights`.
     """
     scores = [by_environment(run, rule) for run in runs]
     cells, factors = [], []
@@ -222,15 +200,8 @@ def over_runs(scores: ArrayLike) -> Spread:
 def mean(scores: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
     """The mean over environments of the mean over runs, with a t interval over runs.
 
-    Args:
-        scores: (runs, environments), see the module's docstring.
-        confidence: nominal coverage of the interval.
-
-    Returns:
-        The interval; its bounds are NaN if a stratum has one run, or if the runs do not differ.
-
-    Raises:
-        ValueError: another shape, a row or a column without scores, or scores outside [0, 1].
+    The bounds are NaN if a stratum has one run, or if the runs do not differ. Raises `ValueError`
+    for another shape, a row or a column without scores, or scores outside [0, 1].
     """
     table = _table(scores)
     return _weighted_means(table, np.full(table.shape[1], 1 / table.shape[1]), confidence)
@@ -242,7 +213,7 @@ def interquartile_mean(scores: ArrayLike, confidence: float = CONFIDENCE) -> Int
     A quarter of the scores, rounded down, is left out at each end. The t interval over runs is
     that of Tukey and McLaughlin (1963): a run's contribution is the sum of its winsorised scores.
     In one environment, where each score is a run's, its degrees of freedom are those of the scores
-    that are left. Arguments and errors as for `mean`.
+    that are left.
     """
     table = _table(scores)
     pooled = np.sort(table[~np.isnan(table)])
@@ -266,21 +237,10 @@ def generalisation_gap(
 ) -> Interval:
     """Demo's mean score minus that of a test variant for each task, averaged over tasks.
 
-    Args:
-        scores: (runs, environments), see the module's docstring.
-        env_ids: the columns' environments; tasks without both variants are left out.
-        variant: a test variant other than TestAll gives the gap along that axis.
-        confidence: nominal coverage of the t interval over runs.
-
-    Raises:
-        ValueError: as for `mean`, no task has both variants, or the number of ids is wrong.
+    Tasks without both variants are left out. Raises `ValueError` as `mean` does, or if no task has
+    both.
     """
     table, weights = _table(scores), gap_weights(env_ids, variant)
-    if table.shape[1] != len(weights):
-        raise ValueError(
-            f"expected a column for each environment, found {table.shape[1]} columns and "
-            f"{len(weights)} environments"
-        )
     compared = table[:, weights != 0]
     evaluated = ~np.isnan(compared).all(axis=1)
     return _weighted_means(compared[evaluated], weights[weights != 0], confidence)
@@ -323,10 +283,7 @@ def contrast(
     checked = list(map(_table, tables))
     columns = [table.shape[1] for table in checked]
     if len(set(columns)) > 1:
-        raise ValueError(
-            f"expected scores in the same environments, found {' and '.join(map(str, columns))} "
-            "columns"
-        )
+        raise ValueError(f"expected scores in the same environments, found {columns} columns")
     strata: list[Floats] = []
     for table, weight in zip(checked, weights, strict=True):
         strata += _by_stratum(

@@ -26,26 +26,19 @@ TOLERANCE = 1e-9  # the largest difference between equal scores
 class Verification:
     """Scores of a sample of rollouts, as recorded and as obtained now.
 
-    Attributes:
-        recorded: the entry's scores.
-        again: the new scores of the same rollouts, in the same order.
-        exact: whether all must be equal. They must unless a network acts on another machine or with
-            other versions than the entry states: then the last bit of its arithmetic may change
-            sampled actions, and contact amplifies that.
-        total: the number of rollouts in the entry; 0 if all were run again.
+    They must be equal unless a network acts on another machine or with other versions than the
+    entry states: then the last bit of its arithmetic may change sampled actions, and contact
+    amplifies that.
     """
 
     recorded: Sequence[RolloutScore]
-    again: Sequence[RolloutScore]
-    exact: bool
-    total: int = 0
+    again: Sequence[RolloutScore]  # of the same rollouts, in the same order
+    exact: bool  # whether all must be equal
+    total: int = 0  # rollouts in the entry; 0 if all were run again
 
     @property
     def share(self) -> float:
-        """The share of the entry's rollouts that were run again.
-
-        It is also the probability that one altered score is found, if all must be equal.
-        """
+        """The share of rollouts run again: the probability of finding one altered score."""
         return len(self.recorded) / self.total if self.total else 1.0
 
     @property
@@ -107,13 +100,8 @@ def verify(
 ) -> Verification:
     """Run a sample of an entry's rollouts again, after checking both scores of all of them.
 
-    Args:
-        entry: the recorded scores.
-        policy: the policy that is said to have obtained them.
-        rounds: how many of each task's rounds (`evaluate_round`) to run again.
-        rng: chooses the rounds.
-        elsewhere: whether the entry was made elsewhere (`is_elsewhere`).
-        workers: processes.
+    Of each task so many rounds (`evaluate_round`) are run again, chosen by `rng`; `elsewhere` says
+    whether the entry was made elsewhere (`is_elsewhere`).
 
     Raises:
         PolicyError: the policy is not shown what the entry says.

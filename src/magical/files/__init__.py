@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from magical.errors import MagicalError
-from magical.files.lock import LOCK, is_locked, locked, owned
+from magical.files.lock import LOCK, is_locked, is_out_of_space, locked, owned
 
 __all__ = [
     "LOCK",
@@ -108,15 +108,6 @@ def sha256_sum(path: Path, **_: object) -> str:
     """The SHA-256 sum of a file."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def is_out_of_space(error: BaseException | None) -> bool:
-    """Whether an error, or one that led to it, means that no space (or quota) is left."""
-    while error is not None:
-        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
-            return True
-        error = error.__cause__ or error.__context__
-    return False
 
 
 # What `demos` and `compiled` still call by other names.

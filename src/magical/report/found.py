@@ -9,12 +9,12 @@ from datetime import datetime
 from functools import cache, cached_property
 from operator import attrgetter
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from magical.envs import EnvId
 from magical.envs.action_spec import DISCRETE
 from magical.errors import ResultsError, RunFolderError, ScoresError
-from magical.evaluation import BUILT_IN, Entry, RolloutScore, by_variant, policy_names, read_entry
+from magical.evaluation import BUILT_IN, Entry, RolloutScore, policy_names, read_entry
 from magical.evaluation.entry import ENTRIES_FILE, ENTRY_FILE, SCORES_FILE, read_collection
 from magical.evaluation.protocol import ROLLOUTS, SEED, Evaluated
 from magical.grouping import group_by
@@ -36,10 +36,10 @@ class Result:
     entry: Entry
     run: Path | None = None  # the folder of the training run, if there is one
 
-    @cached_property
+    @property
     def tasks(self) -> tuple[str, ...]:
         """The tasks that the run was evaluated on."""
-        return tuple(by_variant(self.entry.scores))
+        return self.entry.tasks
 
     @cached_property
     def config(self) -> dict[str, Any]:
@@ -53,8 +53,7 @@ class Result:
         return seed if isinstance(seed, int) else None
 
 
-@dataclass(frozen=True, slots=True)
-class Skipped:
+class Skipped(NamedTuple):
     """A folder with an entry that is not used."""
 
     folder: Path
@@ -162,11 +161,7 @@ def _settings(evaluated: Evaluated) -> tuple[tuple[str, Any], ...]:
 def _by_horizon(
     found: Sequence[tuple[T, Evaluated]],
 ) -> Mapping[str, Sequence[tuple[T, Evaluated]]]:
-    """Evaluations by the horizon in words, or all together if no task has several horizons.
-
-    Runs of single tasks share a row although tasks with one horizon are never evaluated with the
-    published one, and the others may be.
-    """
+    """Evaluations by the horizon in words, or all together if no task has several horizons."""
     groups = group_by(found, lambda pair: _horizon(pair[1]))
     known = {step for _, evaluated in found for step in _steps(evaluated).items()}
     if len(dict(known)) < len(known):
@@ -238,8 +233,8 @@ def _equal_and_telling(
 def _same_training(result: Result, other: Result) -> bool:
     """Whether two results of a method are of one run, judging by all but their scores.
 
-    They are if they are of the same run folder, or have the same training seed. Settings,
-    demonstrations or policies that differ contradict that; what only one of them states does not.
+    They are if they have the same run folder or training seed, unless what both state of settings,
+    demonstrations or policies differs.
     """
     if result.folder == other.folder:  # in a collection, and beside it
         return True

@@ -85,13 +85,12 @@ def faults(entry: Entry) -> list[str]:
     if how.nudge != NUDGE:
         reasons.append(f"nudge {how.nudge:g}, expected {NUDGE:g}: evaluate with --nudge {NUDGE:g}")
     if not how.privileged and entry.observation != NO_OBSERVATION:
+        expected = "expected privileged to be true"
         try:
             if parse_spec(entry.observation, how.env_ids[0].task_spec).num_images == 0:
-                reasons.append(f"{entry.observation} has no images: expected privileged to be true")
+                reasons.append(f"{entry.observation} has no images: {expected}")
         except MagicalError as error:
-            reasons.append(
-                f"{error}; only images are not privileged: expected privileged to be true"
-            )
+            reasons.append(f"{error}; only images are not privileged: {expected}")
     reasons += incompleteness(entry)
     return reasons + ([NOT_STATED] if entry.record.learned_from is None else [])
 
@@ -159,14 +158,12 @@ def mismatch(entry: Entry, other: Result) -> str:
 
 
 def _sources(entry: Entry) -> str:
-    if entry.record.learned_from is None:
-        return "sources that are not stated"
-    return ", ".join(_used(entry)) or "nothing"
+    stated = entry.record.learned_from is not None
+    return ", ".join(_used(entry)) or ("nothing" if stated else "sources that are not stated")
 
 
 def _used(entry: Entry) -> tuple[str, ...]:
-    names = entry.record.learned_from or ()
-    return tuple(name for name in SOURCES if name in names)
+    return tuple(name for name in SOURCES if name in (entry.record.learned_from or ()))
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,13 +213,10 @@ class Standing:
 
 @dataclass(frozen=True, slots=True)
 class Board:
-    """The standings on the tasks of a suite, or on one task.
-
-    Methods with a prior made for the benchmark have separate boards.
-    """
+    """The standings on the tasks of a suite, or on one task, by TestAll."""
 
     name: str
-    standings: Sequence[Standing]  # by TestAll
+    standings: Sequence[Standing]
 
 
 def make_boards(results: Sequence[Result]) -> list[Board]:

@@ -153,17 +153,9 @@ def write_page(
 ) -> Sequence[str]:
     """Write a page with all results of evaluated runs and their training, in one file.
 
-    Args:
-        path: the page to write.
-        title: the page's title.
-        found: the result of `find_results`.
-        published: rows of the published tables to show.
-        load_policy: loads a run's policy; needed if `clips` is not 0.
-        clips: the number of runs whose best, median and worst rollouts are recorded.
-        conclusions: sentences at the beginning of the page.
-
-    Returns:
-        Why there are no rollouts, if some were requested and none could be recorded.
+    `published` are rows of the published tables to show, `clips` the number of runs whose best,
+    median and worst rollouts are recorded, `conclusions` sentences at the beginning. Returns why
+    there are no rollouts, if some were requested and none could be recorded.
     """
     reels, notes = (
         record_reels(found.results, load_policy, clips) if load_policy and clips else ([], [])
@@ -216,13 +208,9 @@ def render_template(name: str, **values: Any) -> str:
     """Render one of this package's templates; values are escaped."""
     import jinja2  # from the `report` extra
 
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("magical.report"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+    options: Any = {"autoescape": True, "trim_blocks": True, "lstrip_blocks": True}
+    loader, undefined = jinja2.PackageLoader("magical.report"), jinja2.StrictUndefined
+    environment = jinja2.Environment(loader=loader, undefined=undefined, **options)
     return environment.get_template(name).render(**values)
 
 

@@ -82,7 +82,7 @@ class Score(NamedTuple):
 
 
 class Rows(dict[str, list[Entry]]):
-    """The runs of each row of tables, by its label (`by_row`), and the table of their scores."""
+    """The runs of each row of tables, by its label, and the table of their scores."""
 
     @cached_property
     def scores(self) -> Mapping[tuple[str, str, str, str], list[Score]]:
@@ -96,11 +96,8 @@ class Rows(dict[str, list[Entry]]):
 
     def on(self, task: str) -> "Rows":
         """The rows with a task, each with the runs that have it."""
-        found = Rows()
-        for label, runs in self.items():
-            if with_task := [run for run in runs if has_task(run, task)]:
-                found[label] = with_task
-        return found
+        runs = {label: [run for run in of if task in run.tasks] for label, of in self.items()}
+        return Rows({label: of for label, of in runs.items() if of})
 
 
 def tabulate(rows: Mapping[str, Sequence[Entry]]) -> list[Score]:
@@ -119,11 +116,6 @@ def tabulate(rows: Mapping[str, Sequence[Entry]]) -> list[Score]:
 def rows_of(entries: Iterable[Entry]) -> Rows:
     """The rows of tables of these entries."""
     return Rows(by_row(entries, lambda entry: entry))
-
-
-def has_task(entry: Entry, task: str) -> bool:
-    """Whether a run was evaluated on a task."""
-    return any(env_id.task == task for env_id in entry.evaluated.env_ids)
 
 
 class Statements(NamedTuple):
@@ -183,14 +175,10 @@ class Cell:
     are_apart: bool = False  # few runs, some of which fail; `detail` lists them
 
     @property
-    def number(self) -> str:
-        """The mean as text."""
-        return decimals(self.mean)
-
-    @property
     def text(self) -> str:
         """Text such as `0.88 ± 0.10 (−0.01)`, with the difference from the published mean."""
-        return f"{self.number} {self.detail}" + (f" ({self.beside[0]})" if self.beside else "")
+        beside = f" ({self.beside[0]})" if self.beside else ""
+        return f"{decimals(self.mean)} {self.detail}{beside}"
 
     @property
     def beside(self) -> list[str]:
@@ -272,7 +260,11 @@ def task_table(name: str, rows: Rows, published: Sequence[str] = ()) -> ScoreTab
         if not compared or is_comparable(task, runs[0])
     ]
     if compared:
-        made += [_published_row(name, method) for method in methods]
+        spread = f"mean ± std over {PUBLISHED_RUNS} runs"
+        for method in methods:
+            found = {v: published_score(name, method, v) for v in SHORT_VARIANTS}
+            theirs_cells = {v: Cell(s.mean, f"± {s.std:.2f}") for v, s in found.items() if s}
+            made.append(Row(f"{method}, published", theirs_cells, spread))
     kept = tuple(row for row in made if row.cells)
     cells = [cell for row in kept for cell in row.cells.values()]
     note = _rule_note(task, compared, rows)
@@ -315,12 +307,6 @@ def _cell(runs: Sequence[Score], expected: int) -> Cell:
         return Cell(mean, f"± {std:.2f}{listed}{few}", are_apart=bool(listed))
     value, low, high = rollout_mean(runs[0].rollouts)
     return Cell(value, f"[{low:.2f}, {high:.2f}]{few}")
-
-
-def _published_row(task: str, method: str) -> Row:
-    spreads = {variant: published_score(task, method, variant) for variant in SHORT_VARIANTS}
-    cells = {v: Cell(spread.mean, f"± {spread.std:.2f}") for v, spread in spreads.items() if spread}
-    return Row(f"{method}, published", cells, f"mean ± std over {PUBLISHED_RUNS} runs")
 
 
 def _rule_note(task: Task, published: bool, rows: Rows) -> str:
