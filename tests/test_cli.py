@@ -264,12 +264,6 @@ def test_show_writes_both_views(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert out.read_bytes() != first
 
 
-def test_show_knows_every_generated_task(tmp_path: Path) -> None:
-    out = tmp_path / "scene.png"
-    assert cli.main(["show", "magical/FindDupe-TestAll-v0", "--out", str(out)]) == 0
-    assert out.exists()
-
-
 @pytest.mark.parametrize("out", ["", "."])
 def test_a_folder_is_no_file_to_write(out: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["show", "magical/MoveToRegion-Demo-v0", "--out", out]) == 2

@@ -1,13 +1,9 @@
 """Object-centred behavioural cloning: parse the objects, choose a goal, act towards it.
 
-1. Frames are parsed into objects (by `magical_goals.objects.parser`, or a perception plugin).
-2. In hindsight, every recorded state gets the goal that was reached from it: which block was moved
-   next, and where to.
-3. A goal model learns the likelihood of those goals from relations between objects, and a
-   controller clones the demonstrator's actions given the goal, in the robot's frame.
-
-The goal model has separate functions for each task; the controller is shared by all. There are no
-published settings.
+In hindsight, every recorded state gets the goal that was reached from it: which block was moved
+next, and where to. A goal model learns the likelihood of those goals from relations between
+objects, separately for each task, and a controller, shared by all tasks, clones the demonstrator's
+actions given the goal, in the robot's frame. There are no published settings.
 """
 
 from collections.abc import Mapping, Sequence
@@ -25,25 +21,9 @@ from magical.runs.sources import BENCHMARK_PRIOR, PARSER_SOURCES
 from magical.scene.actions import MIRRORED_ACTIONS
 from magical.tasks import get_task
 from magical_baselines.compute import cpu_threads
-from magical_baselines.config import (
-    Algorithm,
-    Fraction,
-    NonNegativeFloat,
-    PositiveFloat,
-    PositiveInt,
-    SupervisedConfig,
-    option,
-)
+from magical_baselines.config import Algorithm, PositiveFloat, PositiveInt, SupervisedConfig, option
 from magical_baselines.data import load_demonstrations
-from magical_baselines.training import (
-    Purpose,
-    Run,
-    anneal,
-    fit,
-    gradient_step,
-    seeded_init,
-    stream,
-)
+from magical_baselines.training import Purpose, Run, anneal, fit, gradient_step, seeded_init, stream
 from magical_goals.objects.control import (
     ROBOT_TARGET,
     Controller,
@@ -63,7 +43,10 @@ from magical_goals.objects.parser import MAX_BLOCKS, MAX_REGIONS, PARSER, Pixels
 STANDS, STANDS_ANGLE = 0.01, 0.05  # units, rad: a robot that moved less over the stack stands still
 WEIGHT_DECAY = 1e-2  # of the controller
 DESTINATION_NOISE = 0.03  # units: standard deviation of the noise on the controller's destinations
+DROPPED = 0.3  # share of blocks other than targets that are dropped from the controller's samples
+TEMPERATURE, STUCK_TEMPERATURE = 0.7, 4.0  # of the softmax; a stuck robot acts more randomly
 GOAL_EVERY = 8  # batches between updates of the goal model
+GOAL_SPARSITY = 0.01  # weight of the goal model's group lasso; see `REFITTED`
 GOAL_BATCH_SIZE = 64  # samples of each task in an update of the goal model
 GOAL_LEARNING_RATE = 0.05  # initial rate of the goal model; annealed linearly to 0
 
@@ -78,33 +61,12 @@ class ObjectBCConfig(SupervisedConfig):
     }
     algorithm: str = "object-bc"
     perception: str = option(
-        PARSER, "what detects the objects in frames", plugins="magical.perceptions", known=(PARSER,)
+        PARSER, "what detects the objects in frames", plugins="module:NAME", known=(PARSER,)
     )
     batches: PositiveInt = option(6000, "training batches")
     batch_size: PositiveInt = option(256, "samples per batch of the controller")
     learning_rate: PositiveFloat = option(
         2e-3, "the controller's initial learning rate; annealed linearly to 0"
-    )
-    mirror: bool = option(True, "swap left and right in half of the controller's samples")
-    block_range: PositiveFloat = option(
-        0.6,
-        "units from the robot's centre and from its grip within which blocks are inputs of the "
-        "controller",
-    )
-    wall_range: PositiveFloat = option(
-        0.4, "the same for walls, from robot, target and destination"
-    )
-    drop_blocks: Fraction = option(
-        0.3,
-        "share of blocks other than targets that are dropped from the controller's samples",
-    )
-    goal_sparsity: NonNegativeFloat = option(
-        0.01,
-        "weight of the goal model's group lasso; a fifth of it in the second half of training",
-    )
-    temperature: PositiveFloat = option(0.7, "softmax temperature for sampling actions")
-    stuck_temperature: PositiveFloat = option(
-        4.0, "the same when a block is left to move but the robot has not moved"
     )
 
     def __post_init__(self) -> None:
@@ -138,8 +100,6 @@ class ObjectPolicy(nn.Module):
         self.perception = get_perception(config.perception)
         self.goals = GoalModel(len(config.tasks))
         self.controller = Controller()
-        self.ranges = config.block_range, config.wall_range
-        self.temperature, self.stuck_temperature = config.temperature, config.stuck_temperature
         blank = torch.zeros((1, *config.input_shape), dtype=torch.uint8)
         self(blank, torch.zeros(1, dtype=torch.int64))  # fixes the sizes of the lazy layers
 
@@ -163,10 +123,10 @@ class ObjectPolicy(nn.Module):
         stuck and acts more randomly; so it does in an episode's first step, which has no other.
         """
         with torch.autocast(table.robot.device.type, enabled=False):
-            inputs = control_inputs(table, targets, destinations, *self.ranges)
+            inputs = control_inputs(table, targets, destinations)
         logits: Tensor = self.controller(*inputs).float()
         stuck = _stands(table.robot, before) & (targets != ROBOT_TARGET)
-        return logits / torch.where(stuck, self.stuck_temperature, self.temperature)[:, None]
+        return logits / torch.where(stuck, STUCK_TEMPERATURE, TEMPERATURE)[:, None]
 
 
 def stacked_frames(observations: Tensor, number: int) -> Pixels:
@@ -236,12 +196,12 @@ class ObjectBCTrainer:
         rows = data.sample_eventful(config.batch_size, rng)
         noise = rng.normal(0.0, DESTINATION_NOISE, (len(rows), 2)).astype(np.float32)
         destinations = data.destinations[rows] + torch.from_numpy(noise).to(self.device)
-        mirrored = torch.from_numpy(rng.random(len(rows)) < 0.5 * config.mirror).to(self.device)
+        mirrored = torch.from_numpy(rng.random(len(rows)) < 0.5).to(self.device)
         table, targets = data.table.select(rows), data.targets[rows]
         numbers = torch.arange(table.blocks.shape[1], device=self.device)
-        dropped = torch.from_numpy(rng.random(table.colours.shape) < config.drop_blocks)
+        dropped = torch.from_numpy(rng.random(table.colours.shape) < DROPPED)
         table = table.without(dropped.to(self.device) & (numbers != targets[:, None]))
-        inputs = control_inputs(table, targets, destinations, *self.policy.ranges, mirrored)
+        inputs = control_inputs(table, targets, destinations, mirrored)
         with self.compute.autocast():
             logits = self.policy.controller(*inputs).float()
         actions = data.actions[rows]
@@ -258,7 +218,7 @@ class ObjectBCTrainer:
         """Increase the likelihood of a batch of goals."""
         config, goals = self.config, self.policy.goals
         refit = number - config.batches // 2
-        if config.goal_sparsity and 0 <= refit < GOAL_EVERY:  # first step of the second half
+        if 0 <= refit < GOAL_EVERY:  # first step of the second half
             goals.leave_out()
         anneal(self.goal_optimizer, number, config.batches)
         rows = data.sample_each(GOAL_BATCH_SIZE, rng)
@@ -272,7 +232,7 @@ class ObjectBCTrainer:
             data.tasks[rows],
             torch.from_numpy(places).to(self.device),
         )
-        penalty = goals.penalty(config.goal_sparsity * (REFITTED if refit >= 0 else 1.0))
+        penalty = goals.penalty(GOAL_SPARSITY * (REFITTED if refit >= 0 else 1.0))
         gradient_step(self.goal_optimizer, target_loss + destination_loss + penalty)
         return {"target_loss": target_loss, "destination_loss": destination_loss}
 

@@ -1,11 +1,10 @@
 """Goals as programs: infer which programs explain the demonstrations, and act accordingly.
 
-1. Frames are parsed and demonstrations are cut into carries, as in `object-bc`.
-2. Programs of the goal language are enumerated, and weighted by their prior probability and by the
-   likelihood of the carries under a softly rational demonstrator (`magical_goals.intent`).
-3. In an episode, the posterior decides what is moved next, and where to; a planner moves it, with
-   a motion model fitted to the demonstrations (`magical_goals.planning`). If no program explains
-   the demonstrations, or if none of those that do fits the scene, `object-bc` decides and acts.
+Demonstrations are cut into carries, as in `object-bc`. Programs are enumerated, and weighted by
+their prior probability and by the likelihood of the carries (`magical_goals.intent`). In an
+episode, the posterior decides what is moved next, and where to; a planner moves it, with a motion
+model fitted to the demonstrations (`magical_goals.planning`). If no program explains these, or
+none of those that do fits the scene, `object-bc` decides and acts.
 
 Sources: Lázaro-Gredilla et al., "Beyond imitation: zero-shot task transfer on robots by learning
 concepts as cognitive programs", Science Robotics 2019; Silver et al., "Few-shot Bayesian imitation
@@ -34,15 +33,16 @@ from magical_baselines.data import load_demonstrations
 from magical_baselines.policy import TrainedPolicy, load_policy, sample_actions, to_inputs
 from magical_baselines.training import Purpose, Run, seeded_init, stream
 from magical_goals.intent.acting import Intention
-from magical_goals.intent.demonstrator import parsed_episode, parsed_poses, parsed_scene
-from magical_goals.intent.posterior import Belief, Explanation, infer
-from magical_goals.language import parse
-from magical_goals.object_bc import (
-    ObjectBCConfig,
-    ObjectBCTrainer,
-    ObjectPolicy,
-    stacked_frames,
+from magical_goals.intent.posterior import (
+    Belief,
+    Explanation,
+    infer,
+    parsed_episode,
+    parsed_poses,
+    parsed_scene,
 )
+from magical_goals.language import parse
+from magical_goals.object_bc import ObjectBCConfig, ObjectBCTrainer, ObjectPolicy, stacked_frames
 from magical_goals.objects.data import ParsedDemonstration, parse_demonstrations, track
 from magical_goals.objects.parser import ParsedFrames
 from magical_goals.planning.motion import Motion, fit_motion

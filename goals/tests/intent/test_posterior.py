@@ -11,17 +11,18 @@ from magical.demos.generate import demonstrate
 from magical.scene import Poses, Scene
 from magical.scene.poses import FIRST_BLOCK
 from magical.tasks import TASKS
-from magical_goals.intent import demonstrator
-from magical_goals.intent.demonstrator import (
+from magical_goals.intent import posterior
+from magical_goals.intent.meanings import Language
+from magical_goals.intent.posterior import (
     MOVE_COST,
     RATIONALITY,
     SLIPS,
+    Belief,
     Episode,
+    infer,
     moves,
     parsed_episode,
 )
-from magical_goals.intent.meanings import Language
-from magical_goals.intent.posterior import Belief, infer
 from magical_goals.language import Goal, parse
 from magical_goals.language.goals import States, Together, ways_at_start
 from magical_goals.language.parsing import bits_of_part
@@ -62,7 +63,7 @@ def test_the_likelihood_is_that_of_a_softly_rational_demonstrator(
     start, end = Poses.at_rest(FIX), moved(FIX, 1, (0.0, 0.9))
     other = moved(FIX, 0, (0.3, 0.3))
     monkeypatch.setattr(
-        demonstrator, "_random_moves", lambda bodies, rng: np.stack([other.bodies] * 3)
+        posterior, "_random_moves", lambda bodies, rng: np.stack([other.bodies] * 3)
     )
     goal = parse(ALL_IN)
     found = Episode(FIX, [start, end], [end], rng()).log_likelihood(goal)

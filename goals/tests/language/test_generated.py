@@ -23,7 +23,7 @@ LEAST_SCORES = {"Demo": 0.9, "All": 0.8}  # as in studies/generated_tasks
 
 def test_a_number_always_gives_the_same_task() -> None:
     first = get_task(SOME[0])
-    generated._generate.cache_clear()
+    generated.generate.cache_clear()
     again = get_task(SOME[0])
     assert again is not first
     assert (again.summary, again.demo) == (first.summary, first.demo)

@@ -13,9 +13,8 @@ from magical.scene import NOOP, State
 from magical.scene.actions import ACTIONS, Gripper, Longitudinal
 from magical.scene.poses import ROBOT
 from magical_goals.objects.control import ROBOT_TARGET
-from magical_goals.planning.kernels import compiled_roll_out
 from magical_goals.planning.motion import Floats, Motion, fit_motion
-from magical_goals.planning.planner import HORIZON, PLANS, Planner, Situation
+from magical_goals.planning.planner import HORIZON, PLANS, Planner, Situation, compiled_roll_out
 
 CORNER = np.array([-0.82, 0.82])
 

@@ -55,11 +55,6 @@ def published_score(scene: Scene, poses: Poses, attribute: Attribute) -> float:
     return max(0.0, fraction - PUBLISHED_NO_SCORE) / (1.0 - PUBLISHED_NO_SCORE)
 
 
-def instruction(scene: Scene, attribute: Attribute) -> str:
-    """What to do, in English."""
-    return f"Push the blocks into clusters of the same {attribute}."
-
-
 def validate(scene: Scene, attribute: Attribute, expected: Sequence[str]) -> str:
     """The reason why the scene does not fit the task, or an empty string."""
     values = {getattr(block, attribute) for block in scene.blocks}
@@ -85,7 +80,6 @@ distances, and its score rises from 0.75.""",
         randomise_fn=randomise,
         score_fn=partial(score, attribute=attribute),
         published_score_fn=partial(published_score, attribute=attribute),
-        instruction_fn=partial(instruction, attribute=attribute),
         max_blocks=BLOCKS[1],
         max_regions=0,
         validate_fn=partial(validate, attribute=attribute, expected=values),

@@ -44,11 +44,6 @@ def published_score(scene: Scene, poses: Poses) -> float:
     return score(scene, poses) if longest_line(positions(scene, poses)) >= shortest else 0.0
 
 
-def instruction(scene: Scene) -> str:
-    """What to do, in English."""
-    return "Arrange all blocks in a line."
-
-
 def validate(scene: Scene) -> str:
     """The reason why the scene does not fit the task, or an empty string."""
     return "" if len(scene.blocks) > 1 else "expected at least 2 blocks, found fewer; add blocks"
@@ -68,7 +63,6 @@ two of three blocks in a line score 0.""",
     axes=EVERYTHING,
     randomise_fn=randomise,
     score_fn=score,
-    instruction_fn=instruction,
     published_score_fn=published_score,
     max_blocks=BLOCKS[1],
     max_regions=0,

@@ -27,11 +27,6 @@ def score(scene: Scene, poses: Poses) -> float:
     return float(scene.regions[0].contains(*poses.robot[:2]))
 
 
-def instruction(scene: Scene) -> str:
-    """What to do, in English."""
-    return f"Drive into the {scene.regions[0].colour} region."
-
-
 def validate(scene: Scene) -> str:
     """The reason why the scene does not fit the task, or an empty string."""
     return "" if len(scene.regions) == 1 else "expected 1 goal region, found none"
@@ -47,7 +42,7 @@ TASK = Task(
     axes=Axis.JITTER | Axis.LAYOUT | Axis.COLOUR | Axis.DYNAMICS,
     randomise_fn=randomise,
     score_fn=score,
-    instruction_fn=instruction,
+    instruction_fn=lambda scene: f"Drive into the {scene.regions[0].colour} region.",
     max_blocks=0,
     max_regions=1,
     validate_fn=validate,

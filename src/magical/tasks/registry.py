@@ -35,15 +35,10 @@ _imported_from: dict[str, str] = {}  # the module by whose import a task was reg
 
 @dataclass(frozen=True, slots=True)
 class TaskFamily:
-    """Tasks that are made by their names, too many to list; an entry point named by a pattern.
+    """Tasks that are made by their names, too many to list; an entry point named by a pattern."""
 
-    Attributes:
-        make_fn: the task of a name that the pattern matches.
-        suites: tasks to report together, by the suite's name.
-    """
-
-    make_fn: Callable[[str], Task]
-    suites: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    make_fn: Callable[[str], Task]  # the task of a name that the pattern matches
+    suites: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # tasks to report together
 
     def __call__(self, name: str) -> Task:
         """The task of this name."""
@@ -116,10 +111,7 @@ def unregister_task(name: str) -> Task:
 
 
 def get_task(name: str) -> Task:
-    """The task with exactly this name.
-
-    Raises `UnknownNameError` if there is none, `PluginError` if it cannot be imported.
-    """
+    """The task with exactly this name; raises `UnknownNameError` or `PluginError`."""
     if name in TASKS:
         return TASKS[name]
     close = get_close_matches(str(name), TASKS, n=1)
@@ -144,8 +136,7 @@ def importable_tasks() -> list[Task]:
 def load_task(name: str) -> Task:
     """The task with a given name, or the one at `module:NAME`, which is imported and registered.
 
-    Only for names that users give, never for those in entries, run folders and datasets, which may
-    come from anywhere. Raises `UnknownNameError`, `PluginError` or `InvalidTaskError`.
+    Only for names that users give: those in files may come from anywhere.
     """
     return register_task(_loaded(name)) if ":" in name else get_task(name)
 

@@ -1,9 +1,8 @@
 """What to move, and where to, given a belief about the goal.
 
-Each program of the belief is a goal in the current scene. One of the things most likely to have to
-move is moved next, to the place with the least expected work under all goals, including the way
-there. If no such move saves more work than a move costs, the other things are considered; if none
-of their moves does either, nothing is left to do.
+One of the things most likely to have to move is moved next, to the place with the least expected
+work under all goals, including the way there. If no such move saves more work than a move costs,
+the other things are considered; if none of their moves does either, nothing is left to do.
 """
 
 import math
@@ -15,9 +14,8 @@ from magical.scene import Poses, Scene
 from magical.scene.geometry import Point, to_workspace
 from magical.scene.poses import FIRST_BLOCK, ROBOT
 from magical.tasks import get_task
-from magical_goals.intent.demonstrator import MOVE_COST
 from magical_goals.intent.meanings import Chosen, replace_selections
-from magical_goals.intent.posterior import Belief
+from magical_goals.intent.posterior import MOVE_COST, Belief
 from magical_goals.language.expressions import Floats
 from magical_goals.language.goals import Goal, States, problem
 from magical_goals.objects.control import GRIP, ROBOT_TARGET

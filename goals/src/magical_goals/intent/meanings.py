@@ -52,8 +52,7 @@ class Meaning:
 class Language:
     """The selections of at most two parts and the goals of one part, in given scenes.
 
-    Attributes:
-        alternatives: by the blocks named in each scene, the selections that name them, and weights.
+    `alternatives` has, by the blocks named in each scene, the selections that name them, weighted.
     """
 
     def __init__(self, scenes: Sequence[Scene]) -> None:

@@ -1,10 +1,8 @@
 """Expressions of the language of goals: which blocks are meant, and where they should be.
 
-An expression is a frozen dataclass. Its fields are expressions, or words such as a colour, checked
-when it is created. Its `repr` is its text, which `magical_goals.language.parse` reads.
-
-A selection means blocks of an initial scene. It is determined by the scene that an episode starts
-from, so it does not change while blocks are moved. A place is where blocks should be at the end.
+An expression is a frozen dataclass of expressions, or words such as a colour, checked when it is
+created. Its `repr` is its text, which `magical_goals.language.parse` reads. A selection is
+determined by the scene that an episode starts from, so it does not change while blocks are moved.
 """
 
 import math
@@ -96,15 +94,10 @@ def field_types(kind: Any) -> Mapping[str, Any]:
 
 @dataclass(frozen=True, repr=False)
 class Selection(Expression):
-    """Some of a scene's blocks.
+    """Some of a scene's blocks."""
 
-    Attributes:
-        single: whether it means a single block.
-        template: its clause, with its fields as `{0.field}`.
-    """
-
-    single: ClassVar[bool] = False
-    template: ClassVar[str] = ""
+    single: ClassVar[bool] = False  # whether it means a single block
+    template: ClassVar[str] = ""  # its clause, with its fields as `{0.field}`
 
     def blocks(self, scene: Scene) -> Blocks:
         """Indices of the selected blocks."""
@@ -192,11 +185,8 @@ class Mismatched(Selection):
     template = "that is inside a region of another colour"
 
     def blocks(self, scene: Scene) -> Blocks:
-        regions = [region_of(block, scene) for block in scene.blocks]
-        return _where(
-            region is not None and region.colour != block.colour
-            for block, region in zip(scene.blocks, regions, strict=True)
-        )
+        pairs = ((block, region_of(block, scene)) for block in scene.blocks)
+        return _where(region is not None and region.colour != b.colour for b, region in pairs)
 
 
 class Matched(Selection):
@@ -262,7 +252,11 @@ class MostCommon(_ByAttribute):
 @dataclass(frozen=True, repr=False)
 class _ByDistance(Selection):
     single = True
+    sign: ClassVar[float] = 1.0
     landmark: Landmark
+
+    def blocks(self, scene: Scene) -> Blocks:
+        return _first([self.sign * each for each in distances_to(self.landmark, scene)])
 
 
 class Nearest(_ByDistance):
@@ -270,17 +264,12 @@ class Nearest(_ByDistance):
 
     template = "nearest to the {0.landmark}"
 
-    def blocks(self, scene: Scene) -> Blocks:
-        return _first(distances_to(self.landmark, scene))
-
 
 class Farthest(_ByDistance):
     """The block farthest from a landmark, if it is farthest by `CLEAR_DIFFERENCE`."""
 
     template = "farthest from the {0.landmark}"
-
-    def blocks(self, scene: Scene) -> Blocks:
-        return _first([-distance for distance in distances_to(self.landmark, scene)])
+    sign = -1.0
 
 
 @dataclass(frozen=True, repr=False)

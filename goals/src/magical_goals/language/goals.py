@@ -415,15 +415,10 @@ def _unreachable(goal: Goal, scene: Scene) -> str:
 def progress(goal: Goal, scene: Scene, poses: Poses) -> float:
     """The potential whose increase is the dense reward, in units.
 
-    With d_i the distance that body i (a block, or the robot) still has to move, and w the length of
-    a path from between the robot's fingers to the nearest block that must move, and from each to
-    the nearest one left,
-
-        progress = - sum over bodies that must move of (UNFINISHED + d_i)  -  w,
-
-    the maximum over all ways to reach the goal. It depends only on the state, so rewards sum to
-    zero over a loop. It falls neither when a block is finished and the next one is far away nor
-    when another way becomes better.
+    It is the maximum, over all ways to reach the goal, of - sum of (UNFINISHED + d_i) - w, with d_i
+    the distance that body i still has to move, and w the length of a path from between the robot's
+    fingers to the nearest block that must move, and from each to the nearest one left. So it falls
+    neither when a block is finished and the next one is far away nor when another way is better.
     """
     between_fingers = to_workspace((0.0, ROBOT_RADIUS + BLOCK_SIZE), poses.robot)
     points = positions(scene, poses)

@@ -1,8 +1,7 @@
 """Programs as text, and how probable they are before any demonstration.
 
-The text that `repr` prints is read back without evaluating anything. A program is written by
-choosing an expression for each slot, and the words within it. Every choice is uniform, so a program
-of b bits has probability 2**-b: the shorter, the more probable.
+A program is written by choosing an expression for each slot, and the words within it. Every choice
+is uniform, so a program of b bits has probability 2**-b: the shorter, the more probable.
 """
 
 import ast
@@ -34,11 +33,10 @@ VOCABULARY: Mapping[str, type[Expression]] = {
 
 
 def parse(text: str) -> Goal:
-    """Parse a program such as `Each(WithColour('red'), InRegion())`.
+    """Parse a program such as `Each(WithColour('red'), InRegion())`, without evaluating anything.
 
     Raises:
-        InvalidProgramError: the text is not a program; the message names the expression and the
-            reason.
+        InvalidProgramError: the text is not a program; the message says what is wrong where.
     """
     if len(text) > MAX_TEXT:
         raise InvalidProgramError(f"program: expected at most {MAX_TEXT} characters, found more")

@@ -7,7 +7,7 @@ from magical.errors import UnknownNameError
 from magical.scene import Poses, Scene
 from magical.tasks import Task
 from magical_goals.language.expressions import Floats
-from magical_goals.language.generated import generated_program
+from magical_goals.language.generated import generate
 from magical_goals.language.goals import Goal, progress
 from magical_goals.language.parsing import parse
 
@@ -29,15 +29,11 @@ PROGRAMS: dict[str, Goal] = {
 
 
 def program_of(task: str) -> Goal:
-    """The program of a task.
-
-    Raises:
-        UnknownNameError: there is none for this task.
-    """
+    """The program of a task; raises `UnknownNameError` if there is none."""
     if task in PROGRAMS:
         return PROGRAMS[task]
     if re.fullmatch("Generated[0-9]{4}", task):
-        return generated_program(task)
+        return generate(task)[1]
     raise UnknownNameError(
         f"{task} has no program; expected one of: {', '.join(PROGRAMS)}, or a generated task; add "
         f"it with magical_goals.language.programs.PROGRAMS[{task!r}] = parse(...)"
@@ -47,11 +43,7 @@ def program_of(task: str) -> Goal:
 def dense(task: Task) -> Callable[[Scene, Floats], float]:
     """The potential whose increase is the reward `dense`, of bodies (5 + N, 3 or more).
 
-    It means nothing in scenes for which `problem` gives a reason, and is NaN if the program has no
-    place there.
-
-    Raises:
-        UnknownNameError: the task has no program.
+    It means nothing in scenes for which `problem` gives a reason, and may be NaN there.
     """
     program = program_of(task.name)
     return lambda scene, bodies: progress(program, scene, Poses(bodies[:, :3]))

@@ -18,6 +18,9 @@ from magical_goals.objects.parser import ABSENT, FAR, ParsedFrames
 
 ROBOT_TARGET = -1  # instead of a block's number
 GRIP = 0.28  # units ahead of the robot's centre: where a gripped block's centre lies
+# Units within which inputs are, but for the target's own: blocks from the robot's centre and its
+# grip, walls from robot, target and destination.
+BLOCK_RANGE, WALL_RANGE = 0.6, 0.4
 FOCUS = 0.15  # units: the length scale of nearness
 HELD = 2  # number of blocks nearest to the fingers that have separate inputs
 HIDDEN = 256  # width of the layers
@@ -82,15 +85,11 @@ def control_inputs(
     table: ObjectTable,
     targets: Tensor,
     destinations: Tensor,
-    block_range: float,
-    wall_range: float,
     mirrored: Tensor | None = None,
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Inputs (B, F); inputs for every block (B, N, T); which blocks are near (B, N).
 
-    Blocks farther than `block_range` from the robot's centre or its grip are left out, but for the
-    target's own inputs; so are walls, from robot, target and destination. Left and right are
-    exchanged in scenes that are `mirrored`, (B,).
+    Left and right are exchanged in scenes that are `mirrored`, (B,).
     """
     view = _RobotView(table, mirrored)
     robot = targets == ROBOT_TARGET
@@ -105,14 +104,14 @@ def control_inputs(
         [
             robot[:, None].float(),
             _polar(torch.stack([target, end, end - target], dim=1)),
-            _held(blocks, is_target, table.present, block_range),
+            _held(blocks, is_target, table.present),
             view.fingers(),
-            view.walls(ends, wall_range),
+            view.walls(ends),
         ],
         dim=1,
     )
     offsets = blocks, blocks - end[:, None], blocks - target[:, None]
-    near = table.present & (blocks.norm(dim=2) < block_range)
+    near = table.present & (blocks.norm(dim=2) < BLOCK_RANGE)
     return own, torch.cat([_polar(torch.stack(offsets, dim=2)), is_target], dim=2), near
 
 
@@ -141,14 +140,14 @@ class _RobotView:
         values = 3 * self._table.fingers
         return torch.where(self._mirrored, values.flip(1), values)
 
-    def walls(self, places: Tensor, limit: float) -> Tensor:
+    def walls(self, places: Tensor) -> Tensor:
         """Direction and nearness of the walls next to places (B, K, 2), nearer first: (B, 6K)."""
         across = torch.where(places > 0, 1.0 - places, -1.0 - places)
         vectors = self.turn(torch.diag_embed(across).flatten(1, 2)).view(*places.shape, 2)
         distances, order = vectors.norm(dim=3).sort(dim=2)  # (B, K, 2)
         vectors = vectors.gather(2, order[..., None].expand(-1, -1, -1, 2))
         distances = distances[..., None]
-        nearness = (1.0 - distances / limit).clamp(0.0, 1.0)
+        nearness = (1.0 - distances / WALL_RANGE).clamp(0.0, 1.0)
         return torch.cat([vectors / (distances + 0.05) * nearness, nearness], dim=3).flatten(1)
 
 
@@ -159,14 +158,14 @@ def _polar(vectors: Tensor) -> Tensor:
     return torch.cat(parts, dim=-1).flatten(-2)
 
 
-def _held(blocks: Tensor, is_target: Tensor, present: Tensor, limit: float) -> Tensor:
+def _held(blocks: Tensor, is_target: Tensor, present: Tensor) -> Tensor:
     """Inputs for the blocks nearest to the fingers: (B, HELD * 5)."""
     offsets = blocks - torch.tensor([0.0, GRIP], device=blocks.device)
-    distances = offsets.norm(dim=2).masked_fill(~present, limit)
+    distances = offsets.norm(dim=2).masked_fill(~present, BLOCK_RANGE)
     nearest = distances.argsort(dim=1)[:, :HELD, None]
-    near = (distances[..., None].gather(1, nearest) < limit).float()
+    near = (distances[..., None].gather(1, nearest) < BLOCK_RANGE).float()
     offsets = offsets.gather(1, nearest.expand(-1, -1, 2))
-    length = offsets.norm(dim=2, keepdim=True).clamp(max=limit)
+    length = offsets.norm(dim=2, keepdim=True).clamp(max=BLOCK_RANGE)
     parts = torch.cat([offsets, length, torch.ones_like(near), is_target.gather(1, nearest)], dim=2)
     held: Tensor = (parts * near).flatten(1)
     return held

@@ -23,14 +23,7 @@ from magical.observe import PRESETS
 from magical_baselines.data import Rows, TaskTrajectories
 from magical_goals.objects.control import GRIP, ROBOT_TARGET, to_table, to_tensor
 from magical_goals.objects.goals import relate_blocks
-from magical_goals.objects.parser import (
-    ABSENT,
-    MAX_BLOCKS,
-    Floats,
-    Ints,
-    ParsedFrames,
-    Perception,
-)
+from magical_goals.objects.parser import ABSENT, MAX_BLOCKS, Floats, Ints, ParsedFrames, Perception
 
 OBSERVATION = "LoRes4A"  # the allocentric camera sees every object
 CHUNK = 256  # frames or samples that are processed at a time
@@ -63,13 +56,8 @@ class ParsedDemonstration(NamedTuple):
 class ObjectData:
     """The S samples of demonstrations: parsed scenes, goals found in hindsight, actions.
 
-    Attributes:
-        table: S scenes.
-        relations: (S, N, R), of every block where it lies.
-        targets: (S,) int64.
-        destinations: (S, 2) float32.
-        actions: (S,) int64, the trajectories' labels.
-        tasks: (S,) int64, positions in the names of tasks.
+    They are `table`; `relations` (S, N, R) of every block where it lies; `targets` (S,) and
+    `destinations` (S, 2); `actions` (S,), the trajectories' labels; `tasks` (S,), by position.
     """
 
     def __init__(

@@ -116,8 +116,7 @@ class _Scene:
     @cached_property
     def around(self) -> Tensor:
         """Which regions (B, M) the target is in now, give or take 0.02 units."""
-        own = _edge_distances(self.now[:, None], self.table.regions)[..., 0]
-        return own <= 0.02
+        return _edge_distances(self.now[:, None], self.table.regions)[..., 0] <= 0.02
 
     @cached_property
     def line_residuals(self) -> tuple[Tensor, Tensor, Tensor]:

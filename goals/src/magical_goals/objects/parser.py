@@ -5,11 +5,8 @@ and 6); only the constants of the shape classifier and of the fingers were fitte
 scenes. The interiors of objects have exact colours; only pixels on edges are mixed. So a block is a
 connected component of a fill colour (its darker outline separates touching blocks), a goal region
 is the bounding rectangle of components of a region colour, and the robot's body is the grey disc
-around the eyes. A robot or block on a region can split it; parts are joined if no empty workspace
-lies between them.
-
-A grid is flat and holds a frame with a border of one pixel on every side, so that each of the
-frame's pixels has four neighbours.
+around the eyes. Parts of a region that something splits are joined if no empty workspace lies
+between them. Grids are flat, with a border of one pixel around the frame.
 """
 
 import math

@@ -1,9 +1,8 @@
 """How the robot moves, learned from demonstrations: free, and with a block between its fingers.
 
-In a control step, the robot keeps a share of its speed and gains a certain amount from the action;
-the same holds for its turning. Both are fitted to parsed frames, turning symmetrically to left and
-right, with a prior from other tasks (`PRIOR`), so that ten demonstrations are enough. Nothing is
-learned about contacts: the fit is robust, so they do not spoil it.
+In a control step, the robot keeps a share of its speed, and of its turning, and gains a certain
+amount from the action. Both are fitted to parsed frames, with a prior from other tasks (`PRIOR`),
+so that ten demonstrations are enough; the fit is robust, so contacts do not spoil it.
 """
 
 from collections.abc import Callable, Sequence
@@ -93,11 +92,7 @@ def _turn_inputs(spin: Floats, turn: Floats) -> Floats:
 
 
 def _robust(
-    inputs: Floats,
-    outputs: Floats,
-    prior: Floats,
-    speeds: Floats,
-    make: Callable[[Floats, Floats], Floats],
+    inputs: Floats, outputs: Floats, prior: Floats, speeds: Floats, make: Callable[..., Floats]
 ) -> Floats:
     """Fit coefficients; the prior counts as one step at each of the speeds with each command."""
     assumed = make(*np.array(list(product(speeds, (-1.0, 0.0, 1.0)))).T)
