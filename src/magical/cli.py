@@ -49,7 +49,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             warnings.showwarning = _show_warning
             words = _import_modules(argv) or ["--help"]
             _require_companion(words)
-            arguments = build_parser().parse_args(words)
+            arguments = build_parser(words[0]).parse_args(words)
             status = int(arguments.run(arguments))
         print(end="", flush=True)  # there may be no standard output to flush
     except SystemExit as stop:  # argparse: --help, --version, wrong usage
@@ -89,8 +89,8 @@ def _termination_as_interrupt() -> Iterator[None]:
             signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
-def build_parser() -> argparse.ArgumentParser:
-    """The parser of the whole command line."""
+def build_parser(command: str | None = None) -> argparse.ArgumentParser:
+    """The parser of the whole command line, or with the options of one command only."""
     parser = _Parser(
         prog="magical", description="The MAGICAL benchmark for robust imitation learning."
     )
@@ -100,8 +100,9 @@ def build_parser() -> argparse.ArgumentParser:
     subparsers = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for name, module in find_commands().items():
         sub = subparsers.add_parser(name, help=module.HELP, description=module.__doc__)
-        module.configure(sub)
-        sub.set_defaults(run=module.run)
+        if command in (None, name):
+            module.configure(sub)
+            sub.set_defaults(run=module.run)
     return parser
 
 
