@@ -100,8 +100,9 @@ def build_parser(command: str = "") -> argparse.ArgumentParser:
     subparsers = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for name, module in find_commands(command).items():
         sub = subparsers.add_parser(name, help=module.HELP, description=module.__doc__)
-        module.configure(sub)
-        sub.set_defaults(run=module.run)
+        if command in (None, name):
+            module.configure(sub)
+            sub.set_defaults(run=module.run)
     return parser
 
 

@@ -127,9 +127,10 @@ def parse(kind: type["Config"], algorithm: str, words: Sequence[str]) -> dict[st
     except SystemExit as stop:
         if stop.code == 0:
             raise
-        # The error is framed, below a title and above hints.
-        lines = [line.strip("│ ") for line in printed.getvalue().splitlines() if line[:1] == "│"]
-        rule = next((k for k, line in enumerate(lines) if line.startswith("─")), len(lines))
+        # The error is framed, below a title and above hints, which begin with a rule.
+        framed = [line for line in printed.getvalue().splitlines() if line[:1] in ("│", "|")]
+        lines = [line.strip("│| ") for line in framed]
+        rule = next((k for k, line in enumerate(lines) if set(line) <= {"─", "-"}), len(lines))
         raise UsageError(f"{' '.join(lines[:rule])}; see {name} --help") from stop
     if "tasks" in given:
         given["tasks"] = tuple(map(task_name, given["tasks"]))
