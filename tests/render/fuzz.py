@@ -15,7 +15,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.demos.human.recovery.edges import EdgeFinder
 from magical.errors import MagicalError
 from magical.render import Renderer
 from magical.scene import Pose, Scene, View
@@ -62,18 +61,12 @@ def mutated_bodies(bodies: Bodies, rng: np.random.Generator) -> Bodies:
     return bodies[1:] if rng.integers(20) == 0 else bodies
 
 
-def plain(scene: Scene, bodies: Bodies, rng: np.random.Generator) -> None:
+def render(scene: Scene, bodies: Bodies, rng: np.random.Generator) -> None:
     size, channels = int(rng.choice(SIZES)), 3 * int(rng.integers(1, 6))
     view = View.EGO if rng.integers(2) else View.ALLO
     renderer = Renderer(scene, view, size, int(rng.choice(SAMPLES)), bool(rng.integers(2)))
     renderer.render(bodies, np.zeros((size, size, 3), np.uint8))
     renderer.render_stacked(bodies, np.zeros((size, size, channels), np.uint8))
-
-
-def searched(scene: Scene, bodies: Bodies, rng: np.random.Generator) -> None:
-    view, frame = View(rng.choice(list(View))), np.zeros((384, 384, 3), np.uint8)
-    finder, wanted = EdgeFinder(scene, view), np.ones(len(bodies), np.bool_)
-    finder.find(bodies, finder.label(frame), float(rng.uniform(0.1, 20.0)), wanted)
 
 
 def outcome(number: int) -> str:
@@ -88,7 +81,7 @@ def outcome(number: int) -> str:
         else:
             bodies = poses.bodies
         changed = mutated_bodies(bodies, rng) if rng.integers(3) else bodies
-        (plain, searched)[rng.integers(2)](scene, changed, rng)
+        render(scene, changed, rng)
     except MagicalError:
         return "refused"
     return "rendered"

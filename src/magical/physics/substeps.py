@@ -11,15 +11,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.compiled.jit import (
-    ADDRESS,
-    FLOAT,
-    c_function,
-    inlined,
-    load_float,
-    nogil_entry_point,
-    store_float,
-)
+from magical.compiled import ADDRESS, FLOAT, c_function, floats_at, inlined, kernel
 from magical.physics.chipmunk import ANGLE, POSITION, SPIN, VELOCITY
 from magical.physics.robot import motor_rate
 from magical.scene import constants as c
@@ -34,7 +26,7 @@ def compiled_substeps(addresses: Mapping[str, int]) -> Callable[..., None]:
         for name in ("cpSpaceStep", "cpBodySetAngle", "cpSimpleMotorSetRate")
     )
 
-    @nogil_entry_point
+    @kernel
     def substeps(
         space: int,
         body: int,
@@ -48,18 +40,18 @@ def compiled_substeps(addresses: Mapping[str, int]) -> Callable[..., None]:
         target: float,
     ) -> None:
         for _ in range(c.SUBSTEPS):
-            angle = load_float(body, ANGLE)
+            angle = floats_at(body)[ANGLE]
             set_angle(control, angle + lead)
-            store_float(control, VELOCITY, -math.sin(angle) * speed)
-            store_float(control, VELOCITY + 1, math.cos(angle) * speed)
-            set_motor_rate(left_motor, rate(load_float(left, ANGLE) - angle - target))
-            set_motor_rate(right_motor, rate(load_float(right, ANGLE) - angle + target))
+            floats_at(control)[VELOCITY] = -math.sin(angle) * speed
+            floats_at(control)[VELOCITY + 1] = math.cos(angle) * speed
+            set_motor_rate(left_motor, rate(floats_at(left)[ANGLE] - angle - target))
+            set_motor_rate(right_motor, rate(floats_at(right)[ANGLE] - angle + target))
             step_space(space, c.SUBSTEP_TIME)
 
     return substeps
 
 
-@nogil_entry_point
+@kernel
 def read(addresses: NDArray[np.int64], out: NDArray[np.float64]) -> None:
     """Write poses and velocities of bodies.
 
@@ -70,7 +62,7 @@ def read(addresses: NDArray[np.int64], out: NDArray[np.float64]) -> None:
     for i in range(len(addresses)):
         place, turn = addresses[i, 0], addresses[i, 1]
         for k in range(2):
-            out[i, k] = load_float(place, POSITION + k)
-            out[i, 3 + k] = load_float(place, VELOCITY + k)
-        out[i, 2] = load_float(turn, ANGLE)
-        out[i, 5] = load_float(turn, SPIN)
+            out[i, k] = floats_at(place)[POSITION + k]
+            out[i, 3 + k] = floats_at(place)[VELOCITY + k]
+        out[i, 2] = floats_at(turn)[ANGLE]
+        out[i, 5] = floats_at(turn)[SPIN]

@@ -17,7 +17,7 @@ from magical.errors import InvalidConfigError
 from magical.learning.augmentation.colour import colour_jitter, root_maps
 from magical.learning.augmentation.kernels import add_noise, resample
 from magical.learning.augmentation.names import Augmentations
-from magical.render.output import CHANNELS
+from magical.render.renderer import CHANNELS
 
 NOISE_STD = 0.01  # of the range [0, 1]
 MAX_TRANSLATION = 0.05  # of the image's width and height

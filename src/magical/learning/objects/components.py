@@ -10,8 +10,8 @@ region can split it; parts are joined if no empty workspace lies between them.
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.compiled.jit import inlined, merged
-from magical.render.frame import VIEW_WIDTH
+from magical.compiled import inlined
+from magical.render.kernel import VIEW_WIDTH
 from magical.render.palette import GREY, RGB, SHADES, WHITE
 from magical.scene.constants import FRAME_SIZE
 from magical.scene.vocabulary import COLOURS
@@ -60,7 +60,7 @@ def pixel_y(row: float) -> float:
     return VIEW_HALF - (row + 0.5) * PIXEL
 
 
-@merged
+@inlined
 def classify(frame: Pixels, codes: Grid, kinds: Grid, robot_alone: bool) -> None:
     """Fill in each pixel's colour as one integer, and the kind of object that has it."""
     for row in range(FRAME_SIZE):
@@ -91,7 +91,7 @@ def flood(kinds: Grid, labels: Grid, stack: Grid, start: int, label: int) -> Non
                 depth += 1
 
 
-@merged
+@inlined
 def number_components(kinds: Grid, labels: Grid, stack: Grid) -> int:
     """Number all components from 1, in the order of their first pixels; returns how many."""
     number = 0
@@ -104,7 +104,7 @@ def number_components(kinds: Grid, labels: Grid, stack: Grid) -> int:
     return number
 
 
-@merged
+@inlined
 def measure(
     codes: Grid, kinds: Grid, labels: Grid, number: int, parts: Ints, centres: Floats
 ) -> None:
@@ -134,7 +134,7 @@ def measure(
         centres[k, 1] /= parts[k, AREA]
 
 
-@merged
+@inlined
 def find_regions(
     codes: Grid, parts: Ints, number: int, boxes: Ints, regions: Floats, colours: Ints
 ) -> None:

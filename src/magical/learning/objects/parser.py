@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from magical.compiled.jit import inlined, merged, nogil_entry_point
+from magical.compiled import inlined, kernel
 from magical.learning.objects.components import (
     AREA,
     BLOCK,
@@ -121,7 +121,7 @@ def parse_frames(
     return parsed
 
 
-@nogil_entry_point
+@kernel
 def compiled_parse(
     frames: Pixels,
     robot_alone: bool,
@@ -159,7 +159,7 @@ def _start(centre: float, half: int) -> int:
     return int(min(max(np.rint(centre) - half, 0.0), FRAME_SIZE - 1.0 - 2 * half))
 
 
-@merged
+@inlined
 def _find_robot(
     frame: Pixels, labels: Grid, parts: Ints, number: int, near: Grid, outside: Grid, stack: Grid
 ) -> tuple[float, float, float]:
@@ -253,7 +253,7 @@ def _window_centre(rows: Floats, columns: Floats, top: int, left: int) -> tuple[
     return x / total, y / total
 
 
-@merged
+@inlined
 def _find_fingers(frame: Pixels, robot: Floats, fingers: Floats) -> None:
     """Find the opening angles of the fingers from the mean direction of their pixels."""
     x, y, cos, sin = robot[0], robot[1], math.cos(robot[2]), math.sin(robot[2])
@@ -284,7 +284,7 @@ def _find_fingers(frame: Pixels, robot: Floats, fingers: Floats) -> None:
         fingers[k] = FINGER_SLOPE * totals[k] / (weights[k] + 1e-6) + FINGER_OFFSET
 
 
-@merged
+@inlined
 def _find_blocks(
     labels: Grid,
     parts: Ints,

@@ -1,7 +1,7 @@
 """Compiled parts of planning: rollouts of plans, overlaps with blocks and walls, and routes.
 
 They are kept separate from their users, which import from other rooms: the cache key of compiled
-code covers only this folder's sources and those of the shared rooms (see `magical.compiled.cache`).
+code covers only this folder's sources and those of the shared rooms (see `magical.compiled`).
 """
 
 import math
@@ -9,14 +9,14 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.compiled.jit import nogil_entry_point
+from magical.compiled import kernel
 from magical.learning.planning.motion import Floats
 
 FINGERS = np.array([[-0.2, 0.26], [0.2, 0.26], [-0.22, 0.12], [0.22, 0.12]])  # (right, ahead)
 FINGER_ROOM = 0.13  # units to a block's centre
 
 
-@nogil_entry_point
+@kernel
 def compiled_roll_out(
     drives: NDArray[np.int64],
     turns: NDArray[np.int64],
@@ -51,7 +51,7 @@ def compiled_roll_out(
             poses[step, plan, 0], poses[step, plan, 1], poses[step, plan, 2] = x, y, angle
 
 
-@nogil_entry_point
+@kernel
 def compiled_overlaps(
     poses: Floats, blocks: Floats, body: float, limit: float, overlaps: Floats
 ) -> None:
@@ -71,7 +71,7 @@ def compiled_overlaps(
         overlaps[at] = overlap
 
 
-@nogil_entry_point
+@kernel
 def compiled_routes(
     where: Floats, lengths: Floats, slopes: Floats, length: Floats, direction: Floats
 ) -> None:

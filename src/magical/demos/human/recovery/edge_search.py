@@ -13,10 +13,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.compiled.jit import entry_point, inlined
+from magical.compiled import inlined, kernel
 from magical.render.display import DISC_SIDES
-from magical.render.frame import VIEW_WIDTH, body_frames
-from magical.render.polygons import SUBSAMPLES, Floats, Ints
+from magical.render.kernel import GRID as SUBSAMPLES
+from magical.render.kernel import VIEW_WIDTH, Floats, Ints
+from magical.render.kernel import camera as body_frames
 from magical.scene.constants import RAW_FRAME_SIZE as SIZE
 
 SCALE = SIZE / VIEW_WIDTH  # pixels per unit
@@ -287,7 +288,7 @@ def _read_pixels(
 def compiled_search() -> Callable[..., int]:
     """The entry point that finds edges."""
 
-    @entry_point
+    @kernel
     def search(
         bodies: Floats,
         layers: Layers,

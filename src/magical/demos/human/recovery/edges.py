@@ -25,10 +25,9 @@ from magical.demos.human.recovery.edge_search import (
     compiled_search,
 )
 from magical.errors import RenderError
-from magical.render.display import FURTHEST, DisplayList, display_list
-from magical.render.frame import ROBOT_HEIGHT
+from magical.render.display import DisplayList, display_list
+from magical.render.kernel import FURTHEST, ROBOT_HEIGHT, Floats
 from magical.render.palette import OUTSIDE, WHITE, lanes
-from magical.render.polygons import Floats
 from magical.scene.constants import RAW_FRAME_SIZE as SIZE
 from magical.scene.poses import FIRST_BLOCK
 from magical.scene.scene import Scene

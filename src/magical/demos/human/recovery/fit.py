@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from magical.demos.human.recovery.edge_search import Labels
 from magical.demos.human.recovery.edges import EdgeFinder, Edges
-from magical.render.frame import VIEW_WIDTH
+from magical.render.kernel import VIEW_WIDTH
 from magical.scene import Scene, Shape, View
 from magical.scene.constants import RAW_FRAME_SIZE
 from magical.scene.poses import EYES, FIRST_BLOCK, ROBOT

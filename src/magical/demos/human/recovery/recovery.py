@@ -12,7 +12,7 @@ from magical.demos.human.recovery.fit import FAR_STAGES, Bodies, Fit, PoseFitter
 from magical.demos.motion import PoseFollower
 from magical.demos.store.trajectory import RECOVERY, Trajectory
 from magical.render import Renderer
-from magical.render.frame import VIEW_WIDTH
+from magical.render.kernel import VIEW_WIDTH
 from magical.scene import Poses, Scene, View
 from magical.scene.constants import BLOCK_SIZE, RAW_FRAME_SIZE, STAR_OUTER_RADIUS
 from magical.scene.poses import EYES, FINGERS, FIRST_BLOCK, ROBOT
