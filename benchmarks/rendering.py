@@ -54,7 +54,8 @@ def measure(scene: Scene, view: View, size: int, repeats: int) -> list[float]:
     frame, median = microseconds(lambda: renderer.render(bodies, newest), repeats)
     stacked, _ = microseconds(lambda: renderer.render_stacked(bodies, stack), repeats)
     created, _ = microseconds(lambda: Renderer(scene, view, size), max(1, repeats // 10))
-    output, _ = microseconds(lambda: write(renderer._pixels, newest), repeats)
+    pixels = renderer._draw(bodies)
+    output, _ = microseconds(lambda: write(pixels, newest), repeats)
     bare, unblocked = replace(scene, blocks=(), regions=()), replace(scene, blocks=())
     parts = [compiled(s, view, size, repeats) for s in (bare, unblocked, scene)]
     regions, blocks = np.diff(parts).tolist()
