@@ -5,7 +5,7 @@ python benchmarks/rendering.py [--tasks ClusterColour FixColour] [--size 96] [--
 Prints microseconds, one line for each Demo scene and view. The first columns are whole calls: a
 frame (fastest and median), a frame rendered into a stack of four that is shifted in place, creating
 a renderer (once per episode). The others are the parts of a frame: the robot on the workspace, the
-regions, the blocks, writing the pixels to the output, and Python (checks, calls). The allocentric
+regions, the blocks, writing the pixels to the output, and Python (checks). The allocentric
 ground is rendered once per scene, the egocentric one in every frame. Except for the median, every
 figure is the fastest of many calls, as other processes can only make calls slower.
 """
@@ -18,7 +18,7 @@ from dataclasses import replace
 import numpy as np
 
 from magical.render import Renderer, default_samples, warm_up
-from magical.render.output import store
+from magical.render.kernel import write
 from magical.scene import Poses, Scene, View
 from magical.tasks import TASKS, get_task
 
@@ -38,12 +38,11 @@ def microseconds(call: Callable[[], object], repeats: int) -> tuple[float, float
 
 
 def compiled(scene: Scene, view: View, size: int, repeats: int) -> float:
-    """The time of the compiled function alone."""
+    """The time of drawing, without the output."""
     renderer = Renderer(scene, view, size)
     bodies = Poses.at_rest(scene).bodies
     renderer.render(bodies, np.empty((size, size, 3), np.uint8))
-    arguments = (bodies, *renderer._arguments)
-    return microseconds(lambda: renderer._compiled(*arguments), repeats)[0]
+    return microseconds(lambda: renderer._draw(bodies), repeats)[0]
 
 
 def measure(scene: Scene, view: View, size: int, repeats: int) -> list[float]:
@@ -55,7 +54,8 @@ def measure(scene: Scene, view: View, size: int, repeats: int) -> list[float]:
     frame, median = microseconds(lambda: renderer.render(bodies, newest), repeats)
     stacked, _ = microseconds(lambda: renderer.render_stacked(bodies, stack), repeats)
     created, _ = microseconds(lambda: Renderer(scene, view, size), max(1, repeats // 10))
-    output, _ = microseconds(lambda: store(renderer._pixels, newest), repeats)
+    pixels = renderer._draw(bodies)
+    output, _ = microseconds(lambda: write(pixels, newest), repeats)
     bare, unblocked = replace(scene, blocks=(), regions=()), replace(scene, blocks=())
     parts = [compiled(s, view, size, repeats) for s in (bare, unblocked, scene)]
     regions, blocks = np.diff(parts).tolist()

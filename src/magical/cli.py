@@ -100,7 +100,7 @@ def build_parser(command: str = "") -> argparse.ArgumentParser:
     subparsers = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for name, module in find_commands(command).items():
         sub = subparsers.add_parser(name, help=module.HELP, description=module.__doc__)
-        if command in (None, name):
+        if command in ("", name):
             module.configure(sub)
             sub.set_defaults(run=module.run)
     return parser

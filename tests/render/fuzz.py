@@ -61,7 +61,7 @@ def mutated_bodies(bodies: Bodies, rng: np.random.Generator) -> Bodies:
     return bodies[1:] if rng.integers(20) == 0 else bodies
 
 
-def plain(scene: Scene, bodies: Bodies, rng: np.random.Generator) -> None:
+def render(scene: Scene, bodies: Bodies, rng: np.random.Generator) -> None:
     size, channels = int(rng.choice(SIZES)), 3 * int(rng.integers(1, 6))
     view = View.EGO if rng.integers(2) else View.ALLO
     renderer = Renderer(scene, view, size, int(rng.choice(SAMPLES)), bool(rng.integers(2)))
@@ -81,7 +81,7 @@ def outcome(number: int) -> str:
         else:
             bodies = poses.bodies
         changed = mutated_bodies(bodies, rng) if rng.integers(3) else bodies
-        plain(scene, changed, rng)
+        render(scene, changed, rng)
     except MagicalError:
         return "refused"
     return "rendered"

@@ -9,12 +9,17 @@ from pathlib import Path
 MUTANTS = 300
 
 
-def test_mutants_are_rendered_or_refused(root: Path) -> None:
+def test_mutants_are_rendered_or_refused(root: Path, tmp_path: Path) -> None:
     """With bounds checking, which compiled code has not otherwise."""
     done = subprocess.run(
         [sys.executable, "-m", "tests.render.fuzz", str(MUTANTS)],
         cwd=root,
-        env={**os.environ, "NUMBA_BOUNDSCHECK": "1", "NUMBA_OPT": "0"},  # which compiles faster
+        env={
+            **os.environ,
+            "NUMBA_BOUNDSCHECK": "1",
+            "NUMBA_OPT": "0",  # which compiles faster
+            "NUMBA_CACHE_DIR": str(tmp_path),
+        },
         capture_output=True,
         text=True,
     )

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from magical.errors import RenderError, UnknownNameError
 from magical.render import Renderer, default_samples, render_frame, render_views
-from magical.render.frame import compiled_render
+from magical.render.kernel import frame_kernel
 from magical.scene import Poses, View
 from tests.render.cases import Case, random_case
 
@@ -56,7 +56,7 @@ def test_default_samples(case: Case) -> None:
 @pytest.mark.parametrize("samples", [2.0, np.int64(2)])
 def test_samples_of_another_type(samples: Any, case: Case) -> None:
     expected = render_frame(*case, "ego", 8, 2)
-    compiled_render.cache_clear()  # which finds kernels by a number of any type
+    frame_kernel.cache_clear()  # which finds kernels by a number of any type
     np.testing.assert_array_equal(render_frame(*case, "ego", 8, samples), expected)
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from magical.compiled.cache import digest_of
+from magical.compiled import digest_of
 from magical.envs import all_env_ids, parse_env_id
 from magical.evaluation import by_variant, published_methods, published_score, published_tasks
 from magical.report.found import Result

@@ -10,15 +10,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.compiled.jit import (
-    ADDRESS,
-    FLOAT,
-    c_function,
-    inlined,
-    load_float,
-    nogil_entry_point,
-    store_float,
-)
+from magical.compiled import ADDRESS, FLOAT, c_function, floats_at, inlined, kernel
 from magical.physics.chipmunk import ANGLE, C_FUNCTIONS, POSITION, SIGNATURES, SPIN, VELOCITY
 from magical.scene import constants as c
 
@@ -46,19 +38,19 @@ def read_bodies(places: NDArray[np.int64], out: NDArray[np.float64]) -> None:
         if place == 0:
             break
         for k in range(2):
-            out[i, k] = load_float(place, POSITION + k)
-            out[i, 3 + k] = load_float(place, VELOCITY + k)
-        out[i, 2] = load_float(turn, ANGLE)
-        out[i, 5] = load_float(turn, SPIN)
+            out[i, k] = floats_at(place)[POSITION + k]
+            out[i, 3 + k] = floats_at(place)[VELOCITY + k]
+        out[i, 2] = floats_at(turn)[ANGLE]
+        out[i, 5] = floats_at(turn)[SPIN]
 
 
-@nogil_entry_point
+@kernel
 def read_one(places: NDArray[np.int64], out: NDArray[np.float64]) -> None:
     """Read all bodies of one simulation."""
     read_bodies(places, out)
 
 
-@nogil_entry_point
+@kernel
 def step_rows(
     rows: NDArray[np.int64],
     robots: NDArray[np.int64],
@@ -89,11 +81,11 @@ def step_rows(
             lead, limit = math.copysign(c.TURN_LEAD, turn), abs(turn) * c.TURN_MAX_BIAS
         set_max_bias(gear, limit)
         for _ in range(c.SUBSTEPS):
-            angle = load_float(body, ANGLE)
+            angle = floats_at(body)[ANGLE]
             set_angle(control, angle + lead)
-            store_float(control, VELOCITY, -math.sin(angle) * speed)
-            store_float(control, VELOCITY + 1, math.cos(angle) * speed)
-            set_motor_rate(left_motor, motor_rate(load_float(left, ANGLE) - angle - target))
-            set_motor_rate(right_motor, motor_rate(load_float(right, ANGLE) - angle + target))
+            floats_at(control)[VELOCITY] = -math.sin(angle) * speed
+            floats_at(control)[VELOCITY + 1] = math.cos(angle) * speed
+            set_motor_rate(left_motor, motor_rate(floats_at(left)[ANGLE] - angle - target))
+            set_motor_rate(right_motor, motor_rate(floats_at(right)[ANGLE] - angle + target))
             step_space(space, c.SUBSTEP_TIME)
         read_bodies(places[row], out[row])

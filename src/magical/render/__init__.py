@@ -1,7 +1,13 @@
 """Software rendering of scenes into numpy arrays (docs/specification.md, section 6)."""
 
-from magical.render.output import shift_stack
-from magical.render.renderer import Renderer, default_samples, render_frame, render_views, warm_up
+from magical.render.renderer import (
+    Renderer,
+    default_samples,
+    render_frame,
+    render_views,
+    shift_stack,
+    warm_up,
+)
 
 __all__ = [
     "Renderer",

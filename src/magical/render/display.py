@@ -10,16 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.render.palette import (
-    GREY,
-    GREY_OUTLINE,
-    OUTSIDE,
-    PUPIL,
-    RGB,
-    SHADES,
-    WHITE,
-    lanes,
-)
+from magical.render.palette import GREY, GREY_OUTLINE, OUTSIDE, PUPIL, RGB, SHADES, WHITE, lanes
 from magical.scene import constants as c
 from magical.scene.geometry import (
     Point,
@@ -42,7 +33,6 @@ EYE_RADIUS = 0.2 * c.ROBOT_RADIUS
 EYE_X, EYE_Y = 0.4 * c.ROBOT_RADIUS, 0.3 * c.ROBOT_RADIUS  # x times the side
 PUPIL_RADIUS = 0.12 * c.ROBOT_RADIUS
 PUPIL_AHEAD = 0.07 * c.ROBOT_RADIUS  # ahead of the eye's centre
-FURTHEST = 1e6  # units and radians: poses beyond are rejected
 DISC_SIDES, EYE_SIDES, PUPIL_SIDES = 100, 20, 10  # discs are rendered as polygons
 
 Vertices = NDArray[np.float64]  # (2, n): x and y

@@ -1,7 +1,7 @@
 """The renderer: frames of scenes, for the rest of the package."""
 
+import threading
 from functools import lru_cache
-from threading import get_ident
 from typing import Any
 
 import numpy as np
@@ -9,43 +9,41 @@ from numpy.typing import NDArray
 
 from magical.errors import RenderError
 from magical.messages import quoted
-from magical.render.canvas import working_memory
-from magical.render.display import FURTHEST, display_list
-from magical.render.frame import ALLO, EGO, GROUND, compiled_render
-from magical.render.output import CHANNELS, push, store
-from magical.scene.constants import (
-    FRAME_SIZE,
-    MAX_FRAME_SIZE,
-    MAX_SAMPLES_ACROSS,
-    RAW_FRAME_SIZE,
-    SAMPLES,
-)
+from magical.render.display import display_list
+from magical.render.kernel import FURTHEST, Pixels, frame_kernel, push, scratch, write
+from magical.scene import constants as c
 from magical.scene.poses import FIRST_BLOCK, Poses
 from magical.scene.scene import Pose, Scene
 from magical.scene.vocabulary import View, parse_word
 
+CHANNELS = 3  # of a frame: red, green, blue
+STACKED = 12  # channels of the stacks that `push` shifts
+
 Image = NDArray[np.uint8]
 
 
-@lru_cache(maxsize=64)
-def _working_memory(_thread: int, *shape: int) -> tuple[NDArray[Any], ...]:
-    return working_memory(*shape)
+class _Thread(threading.local):
+    def __init__(self) -> None:
+        self.scratch = lru_cache(maxsize=8)(scratch)  # all renderers of a thread share it
+
+
+_thread = _Thread()
 
 
 def default_samples(size: int) -> int:
     """Samples across a pixel: the fewest that make at least 384 across a frame, at most 4."""
-    return next((n for n in SAMPLES if n * size >= RAW_FRAME_SIZE), max(SAMPLES))
+    return next((n for n in c.SAMPLES if n * size >= c.RAW_FRAME_SIZE), max(c.SAMPLES))
 
 
 def checked_samples(size: int, samples: int | None) -> int:
     """The samples across a pixel, `default_samples` for None; raises `RenderError`."""
-    if isinstance(size, int) and 0 < size <= MAX_FRAME_SIZE and samples in (None, *SAMPLES):
+    if isinstance(size, int) and 0 < size <= c.MAX_FRAME_SIZE and samples in (None, *c.SAMPLES):
         chosen = default_samples(size) if samples is None else int(samples)  # no kernel takes float
-        if size * chosen <= MAX_SAMPLES_ACROSS:
+        if size * chosen <= c.MAX_SAMPLES_ACROSS:
             return chosen
     raise RenderError(
-        f"expected a size from 1 to {MAX_FRAME_SIZE} and samples among {SAMPLES}, together at most "
-        f"{MAX_SAMPLES_ACROSS} across a frame, found {quoted(size)} and {quoted(samples)}"
+        f"expected a size from 1 to {c.MAX_FRAME_SIZE} and samples among {c.SAMPLES}, together at "
+        f"most {c.MAX_SAMPLES_ACROSS} across a frame, found {quoted(size)} and {quoted(samples)}"
     )
 
 
@@ -56,8 +54,7 @@ class Renderer:
         scene: which bodies and regions there are; its poses are not used, except the regions'.
         view: `View.EGO` or `View.ALLO`, or their names.
         size: height and width of the frame in pixels.
-        samples: 1, 2 or 4; samples x samples are averaged in each pixel, halves rounded to even;
-            at most 4096 across the frame (`MAX_SAMPLES_ACROSS`).
+        samples: 1, 2 or 4; samples x samples are averaged in each pixel, halves rounded to even.
             Default: the fewest that make at least 384 across, at most 4. 4 at 96 pixels is the
             published pipeline, 1 at 384 its raw frame.
         whole_dashes: whether the sides of goal regions advance the pattern of dashes by whole
@@ -73,21 +70,20 @@ class Renderer:
         self,
         scene: Scene,
         view: View | str,
-        size: int = FRAME_SIZE,
+        size: int = c.FRAME_SIZE,
         samples: int | None = None,
         whole_dashes: bool = True,
     ) -> None:
         self.view = parse_word(View, view)
         self.size = size
         self.samples = checked_samples(size, samples)
-        self._compiled = compiled_render(self.samples)
-        self._display = display_list(scene)
-        self._bodies = np.empty((FIRST_BLOCK + len(scene.blocks), 3))
-        self._pixels = np.empty(size * size, np.int32)
-        self._layers, self._whole_dashes = 1 + len(scene.regions), whole_dashes
-        self._frames = np.empty((len(self._bodies) + 1, 4))
-        self._thread = 0
-        self._own = self._fixed_ground() if self.view == View.ALLO else None
+        self._kernel = frame_kernel(self.samples)
+        self._scene = display_list(scene)
+        self._count = FIRST_BLOCK + len(scene.blocks)
+        self._key = self.size, self.samples, len(self._scene.ground)  # of scratch memory
+        self._whole = whole_dashes
+        self._ego = self.view == View.EGO
+        self._ground: tuple[Any, ...] = ()  # the allocentric one, its tiles and finished pixels
 
     def render(self, bodies: NDArray[np.float64], out: Image) -> None:
         """Write the frame into `out`, which may be a view of any layout, such as a stack's end.
@@ -100,8 +96,7 @@ class Renderer:
             RenderError: shapes or types do not match, or a pose is not finite or out of range.
         """
         self._check(out, CHANNELS)
-        self._render_pixels(bodies)
-        store(self._pixels, out)
+        write(self._draw(bodies), out)
 
     def render_stacked(self, bodies: NDArray[np.float64], stack: Image) -> None:
         """Shift a stack by one frame and render the newest into its last three channels.
@@ -117,8 +112,14 @@ class Renderer:
         self._check(stack, channels)
         if channels % CHANNELS or not channels:
             raise RenderError(f"expected a stack of whole frames, found {channels} channels")
-        self._render_pixels(bodies)
-        push(self._pixels, stack)
+        pixels = self._draw(bodies)
+        if channels == STACKED and stack.flags.c_contiguous:
+            words = stack.view("<u4").reshape(self.size, -1)
+            if words.flags.aligned:
+                push(pixels, words)
+                return
+        shift_stack(stack)
+        write(pixels, stack[:, :, -CHANNELS:])
 
     def _check(self, out: Image, channels: int) -> None:
         shape = (self.size, self.size, channels)
@@ -128,54 +129,54 @@ class Renderer:
                 f"{out.shape} of {out.dtype}{'' if out.flags.writeable else ', read-only'}"
             )
 
-    def _render_pixels(self, bodies: NDArray[np.float64]) -> None:
-        mine = self._bodies
-        if bodies.ndim != 2 or len(bodies) != len(mine) or bodies.shape[1] < mine.shape[1]:
+    def _draw(self, bodies: NDArray[np.float64]) -> Pixels:
+        shape = bodies.shape
+        if len(shape) != 2 or shape[0] != self._count or shape[1] < 3:
             raise RenderError(
-                f"expected the poses (x, y, angle) of {len(mine)} bodies, five of the robot's and "
-                f"one for each block, found an array {bodies.shape}"
+                f"expected the poses (x, y, angle) of {self._count} bodies, five of the robot's "
+                f"and one for each block, found an array {shape}"
             )
-        mine[:] = bodies[:, :3]
-        if self._thread != get_ident():  # whose working memory the arguments have
-            self._thread, self._arguments = get_ident(), self._make_arguments()
-        if self._compiled(mine, *self._arguments) < 0:
+        pixels, ground, tiles, *memory = _thread.scratch(*self._key)
+        kept, fresh = pixels, not self._ground
+        if self._ground:
+            ground, tiles, kept = self._ground
+        elif not self._ego:
+            kept = np.empty_like(pixels)
+        how = self.size, self._ego, fresh, self._whole, kept, pixels
+        rows = np.ascontiguousarray(bodies, float)
+        count = self._kernel(*how, rows, *self._scene, ground, tiles, *memory)
+        if count < 0:
             raise RenderError(
-                f"expected finite poses within {FURTHEST:g} units, found {quoted(mine.tolist())}"
+                f"expected finite poses within {FURTHEST:g} units, found {quoted(bodies.tolist())}"
             )
+        if fresh and not self._ego:  # the camera does not move: its ground is drawn once
+            self._ground = ground.copy(), tiles[:count].copy(), kept
+        return pixels
 
-    def _make_arguments(self) -> tuple[Any, ...]:
-        pixels = self._pixels
-        if self._own is None:  # the pixels are also the ground
-            memory = pixels, pixels, np.empty(0, np.int32), *self._shared()
-            return *self._display, *memory, self._frames, self.size, EGO, self._whole_dashes
-        ground, kept, tiles = self._own
-        memory = ground, pixels, kept, tiles, *self._shared()[1:]
-        return *self._display, *memory, self._frames, self.size, ALLO, self._whole_dashes
 
-    def _shared(self) -> tuple[NDArray[Any], ...]:
-        """Working memory (`canvas.Canvas`), shared by all renderers of a thread.
+def shift_stack(stack: Image) -> None:
+    """Shift the frames of a stack (height, width, C) by one towards the oldest.
 
-        One call leaves nothing in it that another needs.
-        """
-        return _working_memory(get_ident(), self.size, self.samples, self._layers)
-
-    def _fixed_ground(self) -> tuple[NDArray[Any], ...]:
-        """The allocentric ground with its finished pixels and tiles: that camera does not move."""
-        ground = np.empty_like(self._pixels)
-        tiles, *shared = self._shared()
-        tiles = np.empty_like(tiles)
-        self._bodies[:] = 0.0
-        memory = ground, self._pixels, np.empty(0, np.int32), tiles, *shared
-        settings = self.size, GROUND, self._whole_dashes
-        count = self._compiled(self._bodies, *self._display, *memory, self._frames, *settings)
-        return ground, self._pixels.copy(), tiles[:count].copy()
+    Channels [3:] move to [:-3]; the last 3, undefined now, are to be overwritten by the newest
+    frame. For contiguous memory (C-contiguous, or the transposed view of a C-contiguous
+    (C, height, width) array) this is one memory move.
+    """
+    planes = stack.transpose(2, 0, 1)
+    if stack.flags.c_contiguous:
+        flat, size = stack.reshape(-1), CHANNELS
+    elif planes.flags.c_contiguous:
+        flat, size = planes.reshape(-1), CHANNELS * planes.shape[1] * planes.shape[2]
+    else:
+        stack[:, :, :-CHANNELS] = stack[:, :, CHANNELS:]
+        return
+    flat[:-size] = flat[size:]
 
 
 def render_frame(
     scene: Scene,
     poses: Poses,
     view: View | str,
-    size: int = FRAME_SIZE,
+    size: int = c.FRAME_SIZE,
     samples: int | None = None,
 ) -> Image:
     """One frame (size, size, 3) uint8; for many frames of a scene, a `Renderer` is faster."""
@@ -187,10 +188,10 @@ def render_frame(
 def render_views(scene: Scene, poses: Poses) -> Image:
     """The raw egocentric and allocentric frames side by side, (384, 768, 3) uint8."""
     views = (View.EGO, View.ALLO)
-    return np.concatenate([render_frame(scene, poses, v, RAW_FRAME_SIZE) for v in views], axis=1)
+    return np.concatenate([render_frame(scene, poses, v, c.RAW_FRAME_SIZE) for v in views], axis=1)
 
 
-def warm_up(samples: int = max(SAMPLES)) -> None:
+def warm_up(samples: int = max(c.SAMPLES)) -> None:
     """Compile the renderer, or load it from disk, so that the first frame is fast."""
     scene = Scene(Pose(0.0, 0.0, 0.0))
     render_frame(scene, Poses.at_rest(scene), View.EGO, 8, samples)

@@ -14,7 +14,7 @@ from torch import Tensor
 from torch.nn.functional import affine_grid, grid_sample
 
 from magical.errors import InvalidConfigError
-from magical.render.output import CHANNELS
+from magical.render.renderer import CHANNELS
 from magical_baselines.augmentation.colour import colour_jitter, root_maps
 from magical_baselines.augmentation.kernels import add_noise, resample
 from magical_baselines.augmentation.names import Augmentations

@@ -6,15 +6,15 @@ variance of exactly 1. The bits come from SplitMix64 (Steele, Lea and Flood, "Fa
 pseudorandom number generators", OOPSLA 2014), four numbers per output.
 """
 
-from functools import cache
+from functools import cache, partial
 from statistics import NormalDist
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.compiled.jit import fused, inlined, nogil_entry_point
-from magical.render.output import CHANNELS
+from magical.compiled import inlined, kernel
+from magical.render.renderer import CHANNELS
 from magical_baselines.augmentation.colour import (
     FROM_TRISTIMULUS,
     GAMMA,
@@ -200,7 +200,7 @@ def _jitter(
             pixels[i, k] = values[slot, k]
 
 
-@fused
+@partial(inlined, fastmath={"contract"})  # a product and a sum may be rounded once together
 def _warp(pixels: Floats32, inverse: Floats, mirror: bool, out: Floats32) -> None:
     """Rotate and translate pixels (H * W, C) into `out` (H, W, C)."""
     height, width = out.shape[0], out.shape[1]
@@ -225,7 +225,7 @@ def _warp(pixels: Floats32, inverse: Floats, mirror: bool, out: Floats32) -> Non
                 new[k] = neither * a[k] + only_across * b[k] + only_down * c[k] + both * d[k]
 
 
-@nogil_entry_point
+@kernel
 def compiled_resample(
     images: Any,
     inverses: Floats,
@@ -261,7 +261,7 @@ def _mixed(state: np.uint64) -> np.uint64:
     return word ^ (word >> np.uint64(31))
 
 
-@nogil_entry_point
+@kernel
 def compiled_add_noise(rows: Floats32, table: Floats32, seeds: NDArray[np.uint64]) -> None:
     """See `add_noise`: rows (B, n), a table of noise, seeds (B,)."""
     noise = np.empty(CHUNK, np.float32)

@@ -18,10 +18,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.compiled.jit import inlined, merged, nogil_entry_point
+from magical.compiled import inlined, kernel
 from magical.errors import PluginError
 from magical.plugins import load_reference
-from magical.render.frame import VIEW_WIDTH
+from magical.render.kernel import VIEW_WIDTH
 from magical.render.palette import GREY, RGB, SHADES, WHITE
 from magical.scene.constants import FINGER_ROOT_X, FINGER_ROOT_Y, FRAME_SIZE, ROBOT_RADIUS, SIDES
 from magical.scene.vocabulary import COLOURS
@@ -185,7 +185,7 @@ def pixel_y(row: float) -> float:
     return VIEW_HALF - (row + 0.5) * PIXEL
 
 
-@merged
+@inlined
 def classify(frame: Pixels, codes: Grid, kinds: Grid, robot_alone: bool) -> None:
     """Fill in each pixel's colour as one integer, and the kind of object that has it."""
     for row in range(FRAME_SIZE):
@@ -216,7 +216,7 @@ def flood(kinds: Grid, labels: Grid, stack: Grid, start: int, label: int) -> Non
                 depth += 1
 
 
-@merged
+@inlined
 def number_components(kinds: Grid, labels: Grid, stack: Grid) -> int:
     """Number all components from 1, in the order of their first pixels; returns how many."""
     number = 0
@@ -229,7 +229,7 @@ def number_components(kinds: Grid, labels: Grid, stack: Grid) -> int:
     return number
 
 
-@merged
+@inlined
 def measure(
     codes: Grid, kinds: Grid, labels: Grid, number: int, parts: Ints, centres: Floats
 ) -> None:
@@ -259,7 +259,7 @@ def measure(
         centres[k, 1] /= parts[k, AREA]
 
 
-@merged
+@inlined
 def find_regions(
     codes: Grid, parts: Ints, number: int, boxes: Ints, regions: Floats, colours: Ints
 ) -> None:
@@ -338,7 +338,7 @@ def _drop_contained(boxes: Ints, count: int) -> int:
     return left
 
 
-@nogil_entry_point
+@kernel
 def compiled_parse(
     frames: Pixels,
     robot_alone: bool,
@@ -376,7 +376,7 @@ def _start(centre: float, half: int) -> int:
     return int(min(max(np.rint(centre) - half, 0.0), FRAME_SIZE - 1.0 - 2 * half))
 
 
-@merged
+@inlined
 def _find_robot(
     frame: Pixels, labels: Grid, parts: Ints, number: int, near: Grid, outside: Grid, stack: Grid
 ) -> tuple[float, float, float]:
@@ -470,7 +470,7 @@ def _window_centre(rows: Floats, columns: Floats, top: int, left: int) -> tuple[
     return x / total, y / total
 
 
-@merged
+@inlined
 def _find_fingers(frame: Pixels, robot: Floats, fingers: Floats) -> None:
     """Find the opening angles of the fingers from the mean direction of their pixels."""
     x, y, cos, sin = robot[0], robot[1], math.cos(robot[2]), math.sin(robot[2])
@@ -501,7 +501,7 @@ def _find_fingers(frame: Pixels, robot: Floats, fingers: Floats) -> None:
         fingers[k] = FINGER_SLOPE * totals[k] / (weights[k] + 1e-6) + FINGER_OFFSET
 
 
-@merged
+@inlined
 def _find_blocks(
     labels: Grid,
     parts: Ints,

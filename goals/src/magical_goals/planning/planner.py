@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.compiled.jit import nogil_entry_point
+from magical.compiled import kernel
 from magical.experts.geometry import CONTACT_DISTANCE, ROBOT_LIMIT, excess, wrap_angle
 from magical.scene import NOOP
 from magical.scene.actions import ACTIONS, Action, Gripper, to_continuous
@@ -276,7 +276,7 @@ def _angle(directions: Floats) -> Floats:
     return np.arctan2(-directions[..., 0], directions[..., 1])
 
 
-@nogil_entry_point
+@kernel
 def compiled_roll_out(
     drives: NDArray[np.int64],
     turns: NDArray[np.int64],
@@ -311,7 +311,7 @@ def compiled_roll_out(
             poses[step, plan, 0], poses[step, plan, 1], poses[step, plan, 2] = x, y, angle
 
 
-@nogil_entry_point
+@kernel
 def compiled_overlaps(
     poses: Floats, blocks: Floats, body: float, limit: float, overlaps: Floats
 ) -> None:

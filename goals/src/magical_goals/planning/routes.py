@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from magical.compiled.jit import nogil_entry_point
+from magical.compiled import kernel
 from magical.scene.constants import WORKSPACE_HALF
 
 SIDE = 29  # grid points across the workspace
@@ -111,7 +111,7 @@ def _nearest(points: Floats) -> Ints:
     return numbers
 
 
-@nogil_entry_point
+@kernel
 def compiled_routes(
     where: Floats, lengths: Floats, slopes: Floats, length: Floats, direction: Floats
 ) -> None:
