@@ -102,7 +102,7 @@ def _protocol_faults(entry: Entry) -> Iterator[str]:
     if entry.horizon != APPENDIX:
         yield f"horizon {entry.horizon}, expected {APPENDIX}: evaluate without --horizon"
     if entry.nudge != NUDGE:
-        yield f"nudge {entry.nudge:g}, expected {NUDGE:g}: evaluate with --nudge {NUDGE:g}"
+        yield f"nudge {entry.nudge:g}, expected {NUDGE:g}: evaluate with --noise {NUDGE:g}"
 
 
 def _observation_faults(entry: Entry) -> Iterator[str]:
