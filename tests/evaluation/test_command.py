@@ -93,7 +93,7 @@ def test_a_policy_with_wrong_outputs_says_what_was_expected(
 
 def test_out_holds_an_entry(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     argv = ["--task", "ClusterColour", "--variants", "Demo", "--rollouts", "2", "--horizon", "320"]
-    more = ["--method", "dice", "--seed", "3", "--nudge", "1e-9"]
+    more = ["--method", "dice", "--seed", "3", "--noise", "1e-9"]
     _, out, _ = evaluate(capsys, "random", *argv, *more, "--out", str(tmp_path))
     assert "generalisation gap" not in out  # without a test variant
     entry = read_entry(tmp_path)
@@ -142,7 +142,7 @@ def test_import_registers_the_tasks_of_a_module(
         (["no_module:thing"], 1, "cannot be imported"),
         (["noop", "--rollouts", "0"], 2, "at least 1"),
         (["noop", "--horizon", "soon"], 2, "soon"),
-        *((["noop", f"--nudge={nudge}"], 2, "--nudge") for nudge in ("x", "-1", "1", "nan")),
+        *((["noop", f"--noise={nudge}"], 2, "--noise") for nudge in ("x", "-1", "1", "nan")),
         (
             ["noop", "--horizon", "published", "--task", "MoveToRegion"],
             2,
@@ -219,7 +219,7 @@ def test_what_it_learned_from_is_stated_again_when_an_entry_is_made_again(
         (["--learned-from", "--variants", "Demo"], "MoveToRegion without Jitter"),
         (["--learned-from", "--horizon", "9"], "horizon 9, expected appendix"),
         (["--learned-from", "--seed", "1"], "set 1 of fixed seeds"),
-        (["--learned-from", "--nudge", "0.01"], "nudge 0.01, expected 1e-09"),
+        (["--learned-from", "--noise", "0.0001"], "nudge 0.0001, expected 1e-09"),
     ],
 )
 def test_what_would_not_rank_is_refused_before_anything_runs(

@@ -224,7 +224,7 @@ def test_the_command_confirms_or_exits_with_1(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     argv = ["--task", "MoveToRegion", "--variants", "Demo", "All", "--rollouts", "4"]
-    options = ["--workers", "0", "--horizon", "20", "--nudge", "1e-9"]
+    options = ["--workers", "0", "--horizon", "20", "--noise", "1e-9"]
     cli.main(["evaluate", "random", *argv, *options, "--out", str(tmp_path)])
     record = read_entry(tmp_path).record
     assert (record.policy, record.learned_from) == ("random", ())

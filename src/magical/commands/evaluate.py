@@ -63,7 +63,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "shift initial poses randomly by up to X units and radians, seeded by the rollout's seed; "
         "1e-9 averages over effects of rounding"
     )
-    add_number(parser, "--nudge", meaning, default=None, most=MAX_NOISE)
+    add_number(parser, "--noise", meaning, default=None, most=MAX_NOISE)
     add_seed(parser, "which set of fixed seeds to use")
     parser.add_argument(
         "--observation",
@@ -76,7 +76,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--leaderboard",
         action="store_true",
-        help="follow the leaderboard's protocol: use a nudge of 1e-9, and stop before any rollout "
+        help="follow the leaderboard's protocol: use evaluation noise of 1e-9, and stop before any rollout "
         "if the entry would not be ranked",
     )
     parser.add_argument(
@@ -111,7 +111,7 @@ def run(args: argparse.Namespace) -> int:
         seed=args.seed,
         observation=args.observation,
         horizon=args.horizon,
-        nudge=nudge if args.nudge is None else args.nudge,
+        nudge=nudge if args.noise is None else args.noise,
     )
     if args.out:
         method = args.method
