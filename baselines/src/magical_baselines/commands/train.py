@@ -127,14 +127,18 @@ def parse(kind: type["Config"], algorithm: str, words: Sequence[str]) -> dict[st
     except SystemExit as stop:
         if stop.code == 0:
             raise
-        # The error is framed, below a title and above hints, which begin with a rule.
-        framed = [line for line in printed.getvalue().splitlines() if line[:1] in ("│", "|")]
-        lines = [line.strip("│| ") for line in framed]
-        rule = next((k for k, line in enumerate(lines) if set(line) <= {"─", "-"}), len(lines))
-        raise UsageError(f"{' '.join(lines[:rule])}; see {name} --help") from stop
+        raise UsageError(f"{_message(printed.getvalue())}; see {name} --help") from stop
     if "tasks" in given:
         given["tasks"] = tuple(map(task_name, given["tasks"]))
     return given
+
+
+def _message(printed: str) -> str:
+    """The message of an error that tyro prints below a title and above hints, all framed."""
+    lines = [line.strip("│╭╮╰╯ ") for line in printed.splitlines()]
+    rules = [k for k, line in enumerate(lines) if line[:1] == "─" or set(line) == {"-"}]
+    first, following = (*rules, len(lines), len(lines))[:2]  # around the message
+    return " ".join(lines[first + 1 : following])
 
 
 def _option(kind: type["Config"], field: "Field") -> Any:
