@@ -76,8 +76,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--leaderboard",
         action="store_true",
-        help="follow the leaderboard's protocol: use evaluation noise of 1e-9, and stop before any rollout "
-        "if the entry would not be ranked",
+        help="follow the leaderboard's protocol: use evaluation noise of 1e-9, and stop before any "
+        "rollout if the entry would not be ranked",
     )
     parser.add_argument(
         "--learned-from",
