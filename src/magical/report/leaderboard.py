@@ -83,7 +83,7 @@ def faults(entry: Entry) -> list[str]:
             f"horizon {how.horizon_name}, expected {APPENDIX}: evaluate without --horizon"
         )
     if how.nudge != NUDGE:
-        reasons.append(f"nudge {how.nudge:g}, expected {NUDGE:g}: evaluate with --nudge {NUDGE:g}")
+        reasons.append(f"nudge {how.nudge:g}, expected {NUDGE:g}: evaluate with --noise {NUDGE:g}")
     if not how.privileged and entry.observation != NO_OBSERVATION:
         expected = "expected privileged to be true"
         try:
