@@ -73,11 +73,10 @@ def test_what_was_never_demonstrated_is_as_in_other_tasks() -> None:
 
 def test_steps_against_a_wall_teach_nothing(corner: list[ParsedDemonstration]) -> None:
     task, trajectory, parsed = corner[0]
-    poses = trajectory.poses
-    assert poses is not None
-    still = [np.concatenate([each, np.repeat(each[-1:], 60, axis=0)]) for each in (*parsed, poses)]
+    recorded = (*parsed, trajectory.bodies)
+    still = [np.concatenate([each, np.repeat(each[-1:], 60, axis=0)]) for each in recorded]
     ahead = np.append(trajectory.actions, np.full(60, Action(Longitudinal.FORWARD).id))
-    driven = replace(trajectory, actions=ahead, poses=still.pop(), velocities=None)
+    driven = replace(trajectory, actions=ahead, bodies=still.pop())
     motion = fit_motion([ParsedDemonstration(task, driven, ParsedFrames(*still)), corner[1]])
     np.testing.assert_allclose(motion.speeds, fit_motion(corner).speeds, rtol=0.1)
 

@@ -146,10 +146,11 @@ def get_perception(name: str) -> Perception:
     blank = np.full((1, FRAME_SIZE, FRAME_SIZE, 3), 255, np.uint8)
     expected = _layout(parse_frames(blank))
     try:
-        found = _layout(perception(blank, robot_alone=True))
+        parsed = perception(blank, robot_alone=True)
     except Exception as error:  # it may raise anything
         reason = f"{type(error).__name__}: {error}"
         raise PluginError(f"perception {name!r}: fails for a white frame: {reason}") from error
+    found = _layout(parsed) if isinstance(parsed, ParsedFrames) else type(parsed).__name__
     if found != expected:
         raise PluginError(
             f"perception {name!r}: expected ParsedFrames of {expected} for one frame, found {found}"
@@ -159,7 +160,7 @@ def get_perception(name: str) -> Perception:
 
 def _layout(parsed: ParsedFrames) -> str:
     """The type and shape of each array."""
-    return ", ".join(f"{column.dtype} {column.shape}" for column in ParsedFrames(*parsed))
+    return ", ".join(f"{column.dtype} {column.shape}" for column in parsed)
 
 
 def _compacted(perception: Perception, frames: Pixels, robot_alone: bool = False) -> ParsedFrames:
