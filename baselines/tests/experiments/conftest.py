@@ -6,7 +6,6 @@ import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import contextmanager
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +13,6 @@ import pytest
 
 from magical_baselines.experiments.plan import PlannedRun, planned_runs, read_plan
 from tests.waiting import soon
-
-# What needs PyTorch cannot even be imported without it.
-collect_ignore_glob = [] if find_spec("torch") else ["test_*.py"]
 
 Planned = Callable[..., list[PlannedRun]]  # the fixture `planned`
 TIMEOUT = 300.0  # seconds for a plan in a process of its own, on a busy machine

@@ -206,7 +206,7 @@ def test_status_and_dry_run_on_the_command_line(
         lines = capsys.readouterr().out.splitlines()
         return lines, json.loads(lines[-1])
 
-    monkeypatch.setattr(Processes, "for_runs", lambda runs, workers: Inline())
+    monkeypatch.setattr(execution, "Processes", lambda runs, workers: Inline())
     lines, plan = result("run", str(tiny), "--out", str(out), "--dry-run")
     assert not out.exists()
     assert [one["state"] for one in plan["plan"]] == ["waiting", "waiting"]
@@ -271,7 +271,7 @@ def test_runs_take_turns_on_the_visible_gpus(
         if visible:
             monkeypatch.setenv("CUDA_VISIBLE_DEVICES", visible)
         given.clear()
-        processes = Processes(3)
+        processes = Processes([run], 3)
         for _ in range(4):
             processes.submit(run, out, None).result()
         processes.close()
@@ -284,8 +284,8 @@ def test_the_cores_have_room_for_the_threads_of_all_runs(
 ) -> None:
     made: list[int] = []
     monkeypatch.setattr(execution, "available_cores", lambda: 8)
-    monkeypatch.setattr(Processes, "__init__", lambda self, count: made.append(count))
-    Processes.for_runs(planned(("rollouts = 1", "rollouts = 1\nthreads = 3")), workers)
+    monkeypatch.setattr(execution, "ThreadPoolExecutor", made.append)
+    Processes(planned(("rollouts = 1", "rollouts = 1\nthreads = 3")), workers)
     assert made == [slots]
 
 

@@ -65,7 +65,7 @@ def test_a_process_that_is_killed_is_named_and_others_go_on(
     (tmp_path / "task_for_a_plan.py").write_text(OUTSIDE)
     monkeypatch.syspath_prepend(tmp_path)
     import_user_module("task_for_a_plan")  # known in the process, too
-    processes = Processes(1)
+    processes = Processes([], 1)
     try:
         (run, *_) = planned(
             ('["MoveToRegion"]', '["task_for_a_plan:TASK"]\ndemos = "theirs"'),

@@ -1,8 +1,6 @@
 """Plans: the files of the repository, the runs that follow, and what is refused."""
 
 import json
-import subprocess
-import sys
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -58,13 +56,6 @@ def test_the_papers_rows_have_its_settings(method: str, settings: dict[str, Any]
     assert config["num_demos"] == 10
 
 
-def test_the_quick_plan_can_be_run() -> None:
-    runs = planned_runs(read_plan(find_plan("quick")))
-    assert {run.config.algorithm for run in runs} == {"bc"}
-    assert {str(run.source) for run in runs} == {"expert"}
-    assert {run.source.expert_demos for run in runs} == {25}
-
-
 def test_runs_are_methods_times_tasks_times_seeds(tmp_path: Path) -> None:
     text = 'tasks = ["MoveToCorner", "MoveToRegion"]\nseeds = [3, 5]\npreset = "quick"\n' + BC
     runs = runs_of(tmp_path, text + '[[methods]]\nname = "B"\nalgorithm = "bc"\nmulti_task = true')
@@ -103,15 +94,6 @@ def test_the_settings_of_a_run_are_what_its_scores_depend_on(tmp_path: Path) -> 
     assert len({settings(text) for text in ("", *changes)}) == 14
 
 
-def test_settings_have_the_fields_types(tmp_path: Path) -> None:
-    text = 'settings = { learning_rate = 1, anneal = false, variants = ["Jitter"] }\n'
-    (run,) = runs_of(tmp_path, HEAD + BC.replace('"bc"', '"dagger"') + text)
-    config = run.config.to_dict()
-    assert config["learning_rate"] == 1.0
-    assert config["anneal"] is False
-    assert config["variants"] == ["Jitter"]
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -135,10 +117,7 @@ def test_settings_have_the_fields_types(tmp_path: Path) -> None:
         ('[[methods]]\nname = "A"', r"methods\[0\]: expected the field algorithm, found"),
         (BC + BC, "methods: name: expected each once, found 'A' twice"),
         (BC + BC.replace("A", "B"), "expected each run once, found the same settings twice"),
-        (
-            BC + BC.replace("A", "(a)"),
-            r"names that differ in letters or digits, found 'A' and '\(a\)",
-        ),
+        (BC + BC.replace("A", "(a)"), r"the same folder twice: A, .*; \(a\), "),
         ('tasks = ["MoveToMoon"]\n' + BC, "tasks: .*MoveToMoon"),
         ('tasks = ["FindDupe", "FindDupe"]\n' + BC, "tasks: expected each once"),
         ("seeds = [0, 0]\n" + BC, "seeds: expected each once, found 0 twice"),
@@ -224,11 +203,3 @@ def test_a_wrong_plan_is_wrong_usage(tmp_path: Path, capsys: pytest.CaptureFixtu
         "missing.toml: expected a file with a plan in TOML, or one of paper, quick"
         in capsys.readouterr().err
     )
-
-
-def test_a_missing_plan_is_refused_without_pytorch() -> None:
-    program = "import sys; sys.modules['torch'] = None; from magical.cli import main; "
-    command = [sys.executable, "-c", f"{program}sys.exit(main(['run', 'missing.toml']))"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 2
-    assert "missing.toml: expected a file with a plan" in done.stderr

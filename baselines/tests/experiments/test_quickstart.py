@@ -9,11 +9,7 @@ import pytest
 from magical import cli
 from magical.evaluation import read_entry
 from magical.runs.sources import learned_from
-from magical_baselines.experiments.plan import find_plan, read_plan
 from magical_baselines.experiments.status import read_status
-
-for _extra in ("torch", "safetensors", "jinja2", "matplotlib"):
-    pytest.importorskip(_extra, reason="the learning and report extras are not installed")
 
 TASK = "MoveToRegion"  # the quickest
 ARGV = ["quickstart", "--task", TASK, "--batches", "3", "--seed", "0", "--rollouts", "2"]
@@ -35,7 +31,7 @@ def test_the_page_shows_all_parts(folder: Path) -> None:
 
 
 def test_entries_say_what_was_learned_from_and_are_verified(folder: Path) -> None:
-    (run,) = (folder / "runs").iterdir()
+    (run,) = folder.glob("runs/[!.]*")
     expert = folder / "references" / f"expert-{TASK}"
     assert learned_from(read_entry(run).details) == ("demonstrations",)
     assert learned_from(read_entry(expert).details) == ()
@@ -62,16 +58,3 @@ def test_a_second_quickstart_takes_up_what_is_there(
     text = (folder / "report.html").read_text()
     assert text.index(learned) < text.index("poses anywhere in the workspace") < text.index("<h2")
     assert set(ARGV[:-2]) <= set(read_status(folder).command)
-
-
-def test_the_page_says_what_its_cells_show(folder: Path) -> None:
-    text = " ".join((folder / "report.html").read_text().split())
-    assert "Each cell shows the mean score of 2 rollouts" in text
-    assert "the mean minus the published one" in text
-
-
-def test_it_is_a_plan_that_can_be_run() -> None:
-    plan = read_plan(find_plan("quickstart"))
-    assert plan.tasks == ("MoveToRegion", "MoveToCorner")
-    assert plan.references == ("expert", "random")
-    assert plan.num_demos == plan.expert_demos == 25

@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
     interrupted = execute(
         runs,
         args.out,
-        Processes.for_runs(runs, args.workers),
+        Processes(runs, args.workers),
         references=plans.planned_references(plan),
         workers=args.workers or available_cores(),
         command=list(map(str, command)),

@@ -50,19 +50,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Execute the plan, or describe what it would do."""
-    from magical_baselines.experiments.plan import (
-        find_plan,
-        planned_references,
-        planned_runs,
-        read_plan,
-    )
+    from magical_baselines.experiments import plan as plans
 
     on_cluster = args.address or args.executor == "ray"
     if args.gpus and not on_cluster:
         raise UsageError("--gpus needs --executor ray")
-    path = find_plan(args.plan)
-    plan = read_plan(path, args.demos)
-    runs, out = planned_runs(plan), args.out or Path("runs") / path.stem
+    path = plans.find_plan(args.plan)
+    plan = plans.read_plan(path, args.demos)
+    runs, out = plans.planned_runs(plan), args.out or Path("runs") / path.stem
     if args.dry_run:
         return _dry_run(args, runs, out)
     from magical.processes import available_cores
@@ -73,13 +68,14 @@ def run(args: argparse.Namespace) -> int:
         from magical_baselines.experiments.cluster import RayTasks  # an optional library
 
         cores = args.workers and args.workers * plan.threads
+        executor: Processes | RayTasks = RayTasks(out, args.address, cores, args.gpus)
+    else:
+        executor = Processes(runs, args.workers)
     interrupted = execute(
         runs,
         out,
-        RayTasks(out, args.address, cores, args.gpus)
-        if on_cluster
-        else Processes.for_runs(runs, args.workers),
-        references=planned_references(plan),
+        executor,
+        references=plans.planned_references(plan),
         workers=args.workers or available_cores(),
         retry_failed=args.retry_failed,
         command=["run", args.plan, *(["--demos", args.demos] if args.demos else [])],

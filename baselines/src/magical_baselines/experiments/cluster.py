@@ -102,7 +102,8 @@ def _finish(
     """`finish` on a node of the cluster; returns the folder unless it is shared."""
     load_tasks(modules)
     if marker.exists():
-        return finish(work, folder, demos)
+        finish(work, folder, demos)
+        return None
     with tempfile.TemporaryDirectory(prefix="magical-") as name:
         own = Path(name, "runs", folder.name)
         if demos:

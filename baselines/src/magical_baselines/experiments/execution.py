@@ -41,12 +41,15 @@ ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_
 
 
 class Processes:
-    """A process on this machine for each run, `count` at a time; they take turns on its GPUs.
+    """A process on this machine for each run, which take turns on its GPUs.
 
-    A process that is killed costs its run alone. All end with this process, however it ends.
+    There are `workers` at a time, by default as many as there are cores for the runs' threads. A
+    process that is killed costs its run alone. All end with this process, however it ends.
     """
 
-    def __init__(self, count: int) -> None:
+    def __init__(self, runs: Sequence[PlannedRun], workers: int | None = None) -> None:
+        threads = max((run.config.threads for run in runs), default=1)
+        count = workers or max(1, available_cores() // threads)
         self._threads = ThreadPoolExecutor(count)
         self._environs: SimpleQueue[Mapping[str, str]] = SimpleQueue()
         gpus = [{"CUDA_VISIBLE_DEVICES": gpu} for gpu in visible_gpus()]
@@ -54,12 +57,6 @@ class Processes:
             self._environs.put(environ)
         self._children: set[subprocess.Popen[bytes]] = set()
         self._lock, self._stopped = Lock(), False
-
-    @classmethod
-    def for_runs(cls, runs: Sequence[PlannedRun], workers: int | None = None) -> "Processes":
-        """`workers` processes, by default as many as there are cores for the runs' threads."""
-        threads = max((run.config.threads for run in runs), default=1)
-        return cls(workers or max(1, available_cores() // threads))
 
     def submit(self, work: Planned, folder: Path, demos: Path | None) -> "Future[None]":
         """Call `one_run.finish` in a process; `WorkerDiedError` in the future if it is killed."""
@@ -152,7 +149,8 @@ def execute(
     with closing(executor), Interrupts() as stop, opened(out):
         states = {run: planned_state(run, out) for run in runs}
         again = (None, FAILED) if retry_failed else (None,)
-        work: dict[Planned, Path] = {r: out / RUNS / r.folder for r in runs if states[r] in again}
+        waiting = [run for run in runs if states[run] in again]
+        work: dict[Planned, Path] = {run: out / RUNS / run.folder for run in waiting}
 
         def go_on(_: int) -> None:
             if stop.seen:
@@ -162,8 +160,10 @@ def execute(
         names = [each.folder for each in references]
         write_json(out / PLAN, {"runs": listed, "references": names, "command": list(command)})
         with suppress(_Interrupted):
-            demos = prepare_demonstrations(list(work), out, workers, go_on)
+            demos = prepare_demonstrations(waiting, out, workers, go_on)
             work |= {each: out / REFERENCES / each.folder for each in references}
+            if work:
+                _say(f"{len(work)} to do; magical status {out} shows the progress")
             _finish_all(work, demos, executor, stop)
         return stop.seen
 
@@ -182,9 +182,10 @@ def _finish_all(
     started = {executor.submit(each, folder, demos): each for each, folder in work.items()}
     for future in started:
         future.add_done_callback(ended.put)
-    left = len(started)
+    left, stopping = len(started), False
     while left:
-        if stop.seen:
+        if stop.seen and not stopping:  # a second SIGTERM would end a run without a checkpoint
+            stopping = True
             executor.stop()
         with suppress(Empty):
             future = ended.get(timeout=POLL)
@@ -192,7 +193,11 @@ def _finish_all(
             error = None if stop.seen else future.exception()
             if line := _ending(started[future], work[started[future]], error):
                 count = f"{len(started) - left} of {len(started)}"
-                print(for_terminal(f"{line} ({count})"), file=sys.stderr)
+                _say(f"{line} ({count})")
+
+
+def _say(line: str) -> None:
+    print(for_terminal(line), file=sys.stderr, flush=True)
 
 
 def _ending(work: Planned, folder: Path, error: BaseException | None) -> str:
@@ -242,7 +247,10 @@ def planned_state(run: PlannedRun, out: Path) -> str | None:
     folder = out / RUNS / run.folder
     result, different = read_result(folder), ""
     if result:
-        different = differences(_flat(run.settings()), _flat(result["settings"]))
+        wanted, found = run.settings(), result["settings"]
+        # An option that is newer than the record, as of a study, cannot differ.
+        config = {name: found["config"].get(name, x) for name, x in wanted["config"].items()}
+        different = differences(_flat(wanted), _flat({**found, "config": config}))
     elif is_run(folder):
         different = differences(run.config.to_dict(), read_json(folder / CONFIG))
     if different:

@@ -264,16 +264,13 @@ def planned_runs(plan: Plan) -> list[PlannedRun]:
             except MagicalError as error:
                 raise PlanError(f"methods[{number}] ({method.name}): {error}") from error
             runs += [replace(first, config=replace(first.config, seed=s)) for s in plan.seeds]
-    folders: dict[str, PlannedRun] = {}
-    settings: dict[str, PlannedRun] = {}
+    seen: dict[str, PlannedRun] = {}
     for run in runs:
-        if (same := folders.setdefault(run.folder, run)) is not run:
-            raise PlanError(
-                "methods: expected names that differ in letters or digits, found "
-                f"{quoted(same.method)} and {quoted(run.method)}"
-            )
-        if (same := settings.setdefault(json.dumps(run.settings()), run)) is not run:
-            raise PlanError(f"expected each run once, found the same settings twice: {same}; {run}")
+        for what, key in (("folder", run.folder), ("settings", json.dumps(run.settings()))):
+            if (same := seen.setdefault(key, run)) is not run:
+                raise PlanError(
+                    f"expected each run once, found the same {what} twice: {same}; {run}"
+                )
     return runs
 
 

@@ -1,11 +1,4 @@
-"""The states of a plan's runs, from the files of its results folder alone (docs/experiments.md).
-
-- `plan.json`: the runs of the plan, in its order
-- `demos/`: demonstrations generated for the plan
-- `references/POLICY-TASK/`: the entry of a reference policy
-- `runs/FOLDER/`: a run's folder, with its entry and last of all `result.json`
-- `runs/.FOLDER.lock`: locked while the run is in progress
-"""
+"""The states of a plan's runs, from the files of its results folder alone (docs/experiments.md)."""
 
 import shlex
 from collections import Counter
@@ -15,7 +8,7 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
-from magical.errors import ResultsError, RunFolderError
+from magical.errors import MagicalError, ResultsError
 from magical.evaluation.entry import ENTRY_FILE
 from magical.messages import printable, quoted
 from magical.runs.metrics import read_metrics
@@ -102,17 +95,15 @@ def read_status(folder: Path | str) -> Status:
 
 
 def _status(folder: Path, run: ListedRun) -> RunStatus:
+    listed = asdict(run)
     try:
-        record = read_result(folder)
-        rows = [] if record else read_metrics(folder)
-    except (ResultsError, RunFolderError) as damage:
-        record, rows = {"state": FAILED, "error": str(damage)}, []
-    return RunStatus(
-        **asdict(run),
-        state=record.get("state") or (RUNNING if is_locked(lock_of(folder)) else WAITING),
-        step=rows[-1]["step"] if rows else 0,
-        error=str(record.get("error", "")),
-    )
+        if record := read_result(folder):
+            return RunStatus(**listed, state=record["state"], error=str(record.get("error", "")))
+        rows = read_metrics(folder)
+        state = RUNNING if is_locked(lock_of(folder)) else WAITING
+        return RunStatus(**listed, state=state, step=rows[-1]["step"] if rows else 0)
+    except (MagicalError, OSError, ValueError) as damage:  # also a name that is not a folder's
+        return RunStatus(**listed, state=FAILED, error=str(damage))
 
 
 def read_result(folder: Path) -> dict[str, Any]:
