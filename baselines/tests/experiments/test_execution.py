@@ -22,12 +22,12 @@ from magical.evaluation import Evaluation, environments, read_entry
 from magical.runs import versions
 from magical.runs.machine import machine
 from magical_baselines import load_policy, read_config
+from magical_baselines import run as training
 from magical_baselines.experiments import estimate, execution, one_run
 from magical_baselines.experiments.execution import Processes
 from magical_baselines.experiments.one_run import evaluate_reference
 from magical_baselines.experiments.plan import PlannedReference
 from magical_baselines.experiments.status import lock_of, read_status
-from magical_baselines.running import training
 
 
 def record_of(out: Path, run: Any) -> dict[str, Any]:
