@@ -23,6 +23,7 @@ from magical.evaluation import Evaluation, environments, read_entry
 from magical.runs import versions
 from magical.runs.machine import machine
 from magical_baselines import load_policy, read_config
+from magical_baselines import run as training
 from magical_baselines.experiments import estimate, execution, one_run
 from magical_baselines.experiments.execution import Processes
 from magical_baselines.experiments.one_run import evaluate_reference
