@@ -3,7 +3,8 @@
 python tools/budgets.py [--table]
 
 The budgets stand in `pyproject.toml`, `[tool.budgets]`: the room's files as patterns (a pattern
-that begins with an exclamation mark takes files out), and the number of lines.
+that begins with an exclamation mark takes files out), the number of lines that is held, and the
+goal where the room is still larger.
 """
 
 import sys
@@ -37,7 +38,8 @@ def main(root: Path, table: bool) -> int:
         everything |= files
         lines = sum(map(lines_of, files))
         if table:
-            print(f"{name:32} {lines:7,} of {budget['lines']:7,}")
+            goal = f", goal {budget['goal']:6,}" if "goal" in budget else ""
+            print(f"{name:32} {lines:7,} of {budget['lines']:7,}{goal}")
         if lines > budget["lines"]:
             over.append(f"{name}: {lines:,} lines, the budget is {budget['lines']:,}")
     over += [

@@ -15,7 +15,6 @@ import torch
 from filelock import FileLock
 
 import magical
-import magical_baselines.training as training
 from baselines.tests.experiments.conftest import Inline, Planned, execute, scores_of
 from magical.cli import main
 from magical.errors import PlacementError, ResultsError, WorkerDiedError
