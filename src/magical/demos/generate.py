@@ -80,7 +80,7 @@ def generate(
     make = with_tasks(partial(demonstrate, parsed, perturb=perturb), modules)
     series = (episode_seed(seed, attempt) for attempt in count(first))
     scores, dropped, already = list[float](), 0, 0
-    with closing(map_in_order(make, series, workers, skip=known)) as attempts:
+    with closing(map_in_order(make, series, min(workers, number), skip=known)) as attempts:
         while len(scores) < number:
             scene_seed, trajectory = next(attempts)
             score = known[scene_seed] if trajectory is None else trajectory.score or 0.0
