@@ -2,7 +2,7 @@
 
 SHELL := /bin/bash
 .DEFAULT_GOAL := help
-.PHONY: help setup test check docs entries test-all test-others test-newest dist dist-check \
+.PHONY: help setup test check speed learns docs entries test-all test-others test-newest dist dist-check \
 	tag workflows quickstart clean
 
 VENV := .venv
@@ -45,6 +45,12 @@ check: $(READY) ## lint, format, budgets of lines, layers, types, documentation
 
 docs: $(READY) ## the documentation site, in site/
 	@$(BIN)/python -m tools.site
+
+speed: $(READY) ## speeds as ratios to a fixed workload
+	@$(BIN)/python benchmarks/regression.py
+
+learns: $(READY) ## whether behavioural cloning learns, in two minutes
+	@$(BIN)/python benchmarks/learns.py
 
 entries: $(READY) ## check the entries submitted to the leaderboard, running a sample again
 	@$(BIN)/python -m tools.entries

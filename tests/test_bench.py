@@ -33,6 +33,7 @@ def test_a_checkout_is_compared_with_itself(root: Path) -> None:
         "simulation",
         "state only",
         "with pixels",
+        "reset",
     ]
 
 

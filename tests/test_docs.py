@@ -131,7 +131,7 @@ def test_objects_of_json_have_the_documented_keys(
 def cited_sections() -> Iterator[tuple[str, int]]:
     """Every citation of the specification in the code: file and section."""
     numbers = r"docs/specification\.md,\s+(?:# )?sections?\s+((?:\d+(?:,\s+| and | to )?)+)"
-    for folder in ("src", "tests", "benchmarks", "studies", "examples", "tools"):
+    for folder in ("src", "baselines", "goals", "play", "tests", "benchmarks", "studies", "tools"):
         for path in sorted((ROOT / folder).rglob("*.py")):
             for found in re.findall(numbers, path.read_text()):
                 for section in re.findall(r"\d+", found):

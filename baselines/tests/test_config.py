@@ -28,16 +28,16 @@ def quick(**fields: Any) -> BCConfig:
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
-        ({"batches": 1e4}, "batches: expected int, found 10000.0"),
-        ({"batches": 0}, "batches: expected int >= 1, found 0"),
-        ({"seed": True}, "seed: expected int, found True"),
-        ({"seed": -1}, "seed: expected int >= 0, found -1"),
-        ({"anneal": "yes"}, "anneal: expected bool, found 'yes'"),
-        ({"learning_rate": "1e-3"}, "learning_rate: expected float, found '1e-3'"),
+        ({"batches": 1e4}, "batches: expected int, found float"),
+        ({"batches": 0}, "batches: expected int >= 1"),
+        ({"seed": True}, "seed: expected int, found bool"),
+        ({"seed": -1}, "seed: expected int >= 0"),
+        ({"anneal": "yes"}, "anneal: expected bool, found str"),
+        ({"learning_rate": "1e-3"}, "learning_rate: expected float, found str"),
         ({"learning_rate": float("inf")}, "learning_rate: expected finite numbers, found inf"),
-        ({"momentum": 1.0}, "momentum: expected float < 1.0, found 1.0"),
-        ({"augment": None}, "augment: expected str, found None"),
-        ({"optimizer": "lion"}, "optimizer: expected one of 'adam', 'sgd', found 'lion'"),
+        ({"momentum": 1.0}, "momentum: expected float < 1.0"),
+        ({"augment": None}, "augment: expected str, found null"),
+        ({"optimizer": "lion"}, "optimizer: expected one of 'sgd', 'adam', found 'lion'"),
         ({"threads": 5000}, "threads: expected int <= 4096"),
         ({"tasks": ()}, "tasks: expected each task once"),
         ({"tasks": TASKS * 2}, "tasks: expected each task once"),
@@ -83,7 +83,7 @@ def test_a_misspelt_setting_is_named_before_a_missing_one() -> None:
 
 def test_optional_settings_may_be_none() -> None:
     assert PPOConfig.preset("quick", tasks=TASKS, workers=None).workers is None
-    with pytest.raises(InvalidConfigError, match=r"workers: expected int \| null, found 'two'"):
+    with pytest.raises(InvalidConfigError, match=r"workers: expected int \| null, found str"):
         PPOConfig.preset("quick", tasks=TASKS, workers="two")
 
 

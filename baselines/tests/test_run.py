@@ -112,7 +112,7 @@ def test_facts_may_not_change(folder: Path) -> None:
         run.describe(demonstrations=["a", "b"])
     with opened(folder) as run:
         run.describe(demonstrations=["a", "b"])
-        with pytest.raises(RunFolderError, match="other demonstrations; expected 'b', found 'c';"):
+        with pytest.raises(RunFolderError, match=r"expected \['a', 'b'\], found \['a', 'c'\]"):
             run.describe(demonstrations=["a", "c"])
 
 
@@ -289,7 +289,7 @@ def test_a_run_is_trained_once_at_a_time_and_evaluated_meanwhile(
 
     def meanwhile() -> None:
         for resume in (False, True):
-            with pytest.raises(RunFolderError, match=rf"process {os.getpid()} .*trains this run"):
+            with pytest.raises(RunFolderError, match="another process already trains this run"):
                 train(config, folder, resume=resume)
         seen.append(load_policy(folder).tasks)
         seen.append(read_metrics(folder)[-1]["step"])

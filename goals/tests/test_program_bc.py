@@ -140,7 +140,7 @@ def test_a_damaged_belief_is_refused(run: Path) -> None:
     network = load(run).network
     for text, message in (
         (b"?", "expected JSON"),
-        (b'[[], "x", 1]', "expected float, found 'x'"),
+        (b'[[], "x", 1]', "expected float, found str"),
         (b'[[["f()", 1]], 0, 1]', "policy: expression"),
         (b'[[["RobotInside()", 0.0]], 0, 1]', "> 0.0"),
         (b"[[], 0, 1]", "policy: no programs, but 0"),

@@ -46,14 +46,14 @@ def test_preset_is_dropped_from_the_id() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"actions": np.array([1, 18])}, "from 0 to 17, found 18 in row 1"),
-        ({"actions": np.array([1.0, 2.0])}, "expected 2 integers"),
+        ({"actions": np.array([1, 18])}, r"from 0 to 17 of shape \(2,\), found 18 in row 1"),
+        ({"actions": np.array([1.0, 2.0])}, r"expected integers .* of shape \(2,\)"),
         ({"actions": np.array([], np.int64)}, "at least one"),
         ({"actions": np.array([[1, 2]])}, "of shape"),
         ({"actions": np.full((2, 3), 1.5)}, "found drive 1.5 in row 0"),
         ({"actions": np.array([1, 2, 3])}, "for 3 actions"),
-        ({"expert_actions": np.array([1])}, "expert_actions: expected 2 integers"),
-        ({"expert_actions": np.zeros((2, 3))}, "expert_actions: expected 2 integers"),
+        ({"expert_actions": np.array([1])}, r"expert_actions: .* of shape \(2,\)"),
+        ({"expert_actions": np.zeros((2, 3))}, r"expert_actions: .* of shape \(2,\)"),
         ({"bodies": BODIES[:2]}, "expected float64"),
         ({"bodies": BODIES[:, :5]}, "and the scene"),
         ({"bodies": BODIES[..., :3]}, "expected float64"),

@@ -146,7 +146,7 @@ def test_import_registers_the_tasks_of_a_module(
         (
             ["noop", "--horizon", "published", "--task", "MoveToRegion"],
             2,
-            "found tasks with one horizon only: MoveToRegion (40 steps); leave the horizon out",
+            "found tasks with one horizon only: MoveToRegion (40 steps); leave it out",
         ),
     ],
 )

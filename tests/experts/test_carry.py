@@ -35,12 +35,12 @@ def test_held_block_is_carried_to_its_goal() -> None:
     scene = blocks_at((0.0, 0.335), (0.1, 0.75), robot=Pose(0.0, 0.0, 0.0))
     simulation, goal = Simulation(scene), (-0.5, 0.1)
     for _ in range(3):
-        simulation.step(CLOSED)
+        simulation.step(POINTS[CLOSED])
     for _ in range(25):
         view = view_of(scene, simulation)
         assert is_between_fingers(view, view.blocks[0], is_held=True)
         if math.dist(view.resting_blocks[0], goal) < 0.08:
             break
-        simulation.step(carry(view, view.blocks[0], goal, 0.08, view.blocks[1:]))
+        simulation.step(POINTS[carry(view, view.blocks[0], goal, 0.08, view.blocks[1:])])
     assert math.dist(simulation.poses().blocks[0, :2], goal) < 0.12
     assert np.allclose(simulation.poses().blocks[1, :2], (0.1, 0.75))

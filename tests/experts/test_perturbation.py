@@ -112,7 +112,7 @@ def test_an_expert_does_not_escape_from_what_others_do() -> None:
         label, memory = expert.act(state_of(simulation, scene, step), memory)
         assert label == first, step
         memory = note_other_action(memory, NOOP)
-        simulation.step(NOOP)
+        simulation.step(POINTS[NOOP])
 
 
 def test_the_move_stays_and_a_block_is_held_while_the_fingers_stay_closed() -> None:

@@ -36,15 +36,15 @@ def test_a_label_says_what_differs_and_nothing_else() -> None:
         entry("MakeLine", seed=1, rollouts=5, observation="LoRes4A"),
         entry("MakeLine", **shown, action_space="continuous"),
         entry("MakeLine", **shown, privileged=True),
-        entry("MakeLine", **shown, nudge=0.01),
-        entry("MakeLine", method="other", nudge=0.01),
+        entry("MakeLine", **shown, nudge=1e-4),
+        entry("MakeLine", method="other", nudge=1e-4),
     ) == [
         "m, LoRes4E",
         "m, LoRes4A, 5 rollouts, seed 1",
         "m, LoRes4E, continuous",
         "m, LoRes4E, privileged",
-        "m, LoRes4E, nudge 0.01",
-        "other, nudge 0.01",
+        "m, LoRes4E, nudge 0.0001",
+        "other, nudge 0.0001",
     ]
 
 

@@ -19,7 +19,7 @@ from torch import Tensor
 from torch.optim import Optimizer
 
 from magical.errors import CheckpointError, CheckpointMismatchError, MagicalError
-from magical.files import read_regular, reading, write_atomically
+from magical.files import read_bounded, reading, write_atomically
 from magical.messages import printable
 
 StateDict = dict[str, Any]  # dicts with string keys, lists, tensors, and what JSON can hold
@@ -65,7 +65,7 @@ def load_checkpoint(path: Path) -> StateDict:
         CheckpointMismatchError: it is a safetensors file, but not a checkpoint.
     """
     with reading(path, CheckpointError):
-        data = read_regular(path, MAX_BYTES)
+        data = read_bounded(path, MAX_BYTES)
     with restoring(path):
         try:
             tensors = load(data)

@@ -19,6 +19,7 @@ from typing import (
     ClassVar,
     Literal,
     Self,
+    get_args,
     get_origin,
     get_type_hints,
 )
@@ -120,6 +121,11 @@ class Config:
         hints = type_hints(type(self))
         for field in options(type(self)):
             value = _plain(getattr(self, field.name), hints[field.name])
+            choices = get_args(hints[field.name])
+            if get_origin(hints[field.name]) is Literal and value not in choices:
+                expected = ", ".join(map(quoted, choices))
+                text = f"{field.name}: expected one of {expected}, found {quoted(value)}"
+                raise InvalidConfigError(text)
             value = convert(value, hints[field.name], field.name, InvalidConfigError)
             object.__setattr__(self, field.name, value)
             if field.metadata["parse"]:
@@ -397,7 +403,7 @@ def algorithm_names() -> list[str]:
 def find_algorithm(name: str) -> Algorithm:
     """An algorithm by name, or by `module:NAME`.
 
-    Raises `UnknownNameError`, `PluginError` or, without PyTorch, `MissingDependencyError`.
+    Raises `UnknownNameError` or `PluginError`.
     """
     return _ALGORITHMS.get(name)
 

@@ -53,11 +53,11 @@ def test_the_optimiser_gets_the_learning_rate_of_the_batch(demos: Path, tmp_path
 def test_state_vectors_are_learned_from(tmp_path: Path) -> None:
     task, actions = get_task("MoveToRegion"), np.repeat([1, 4], 16)
     simulation = Simulation(task.demo)
-    poses = [simulation.poses().bodies]
+    bodies = [simulation.read()]
     for action in actions.tolist():
         simulation.step(POINTS[action])
-        poses.append(simulation.poses().bodies)
-    demo = Trajectory.from_bodies("MoveToRegion-Demo-v0", task.demo, actions, np.stack(poses))
+        bodies.append(simulation.read())
+    demo = Trajectory.from_bodies("MoveToRegion-Demo-v0", task.demo, actions, np.stack(bodies))
     demos = write_demos(tmp_path / "demos", [demo])
     fields = {"tasks": ("MoveToRegion",), "observation": "state", "num_demos": 1}
     config = tiny(demos, **fields, augment="none", batches=300, batch_size=16)

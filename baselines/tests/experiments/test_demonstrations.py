@@ -30,7 +30,7 @@ def test_demonstrations_of_a_dataset(
     with pytest.raises(DemonstrationsError, match="at least 4 demonstrations of MoveToRegion"):
         execute(planned(("num_demos = 2", "num_demos = 4"), demos=str(demos)), tmp_path / "few")
     execute(runs[:1], out)
-    assert read_entry(out / "runs" / runs[0].folder).details["demonstrations"].endswith("(dataset)")
+    assert read_entry(out / "runs" / runs[0].folder).record.demonstrations.endswith("(dataset)")
     assert not (out / "demos").exists()
     shutil.rmtree(demos)
     assert execute(runs[:1], out) == []  # is done
@@ -59,7 +59,7 @@ def test_perturbed_experts(planned: Planned, out: Path) -> None:
     assert [one.expert_actions is not None for one in demos] == [True] * 3
     config = json.loads((out / "runs" / run.folder / "config.json").read_text())
     assert config["demos"] == str(demos.path)
-    assert read_entry(out / "runs" / run.folder).details["demonstrations"] == (
+    assert read_entry(out / "runs" / run.folder).record.demonstrations == (
         "2 of each task (expert, perturb 0.5, min_score 0.5)"
     )
 

@@ -55,10 +55,10 @@ def test_every_run_is_a_run_folder_with_an_entry_and_a_record(
         entry = read_entry(folder)
         assert entry.method == "BC tiny"
         assert [str(row.env_id) for row in entry.scores] == ["magical/MoveToRegion-Demo-v0"]
-        assert entry.details["demonstrations"] == "2 of each task (expert)"
-        assert entry.details["learned_from"] == ["demonstrations"]
-        assert entry.details["policy"] == "."
-        assert entry.nudge == 1e-9
+        assert entry.record.demonstrations == "2 of each task (expert)"
+        assert entry.record.learned_from == ("demonstrations",)
+        assert entry.record.policy == "."
+        assert entry.evaluated.nudge == 1e-9
         assert read_config(folder).seed == run.seed
         assert load_policy(folder).tasks == ("MoveToRegion",)
         record = record_of(finished, run)
@@ -303,6 +303,6 @@ def test_a_reference_is_evaluated_again_where_the_evaluation_is_another(tmp_path
         evaluate_reference(reference, folder)
         entry, before = read_entry(folder), (folder / "scores.csv").stat().st_mtime_ns
         assert [row.env_id for row in entry.scores] == env_ids * rollouts
-        assert entry.horizon == str(horizon)
+        assert entry.evaluated.horizon == horizon
         evaluate_reference(reference, folder)
         assert (folder / "scores.csv").stat().st_mtime_ns == before

@@ -37,7 +37,7 @@ def test_entries_say_what_was_learned_from_and_are_verified(folder: Path) -> Non
     expert = folder / "references" / f"expert-{TASK}"
     assert read_entry(run).record.learned_from == ("demonstrations",)
     assert read_entry(expert).record.learned_from == ()
-    assert read_entry(expert).privileged
+    assert read_entry(expert).evaluated.privileged
     assert (run / "checkpoint.safetensors").is_file()
     for entry in (run, expert):
         assert cli.main(["verify", str(entry), "--workers", "0"]) == 0

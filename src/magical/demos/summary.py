@@ -10,6 +10,7 @@ import numpy as np
 
 from magical.demos.dataset import Entry
 from magical.demos.trajectory import Trajectory
+from magical.envs.action_spec import spec_of
 from magical.grouping import group_by
 from magical.physics import Simulation
 
@@ -53,8 +54,8 @@ class Replay:
 def replay(trajectory: Trajectory) -> Replay:
     """Simulate a trajectory's actions from its initial scene, and score the final state."""
     simulation = Simulation(trajectory.scene, trajectory.dynamics)
-    for action in trajectory.actions.tolist():
-        simulation.step(action)
+    for point in spec_of(trajectory.actions).points(trajectory.actions, len(trajectory)):
+        simulation.step(point)
     poses, task, departure = simulation.poses(), trajectory.task, None
     if trajectory.poses is not None:
         departure = float(np.abs(poses.bodies - trajectory.poses[-1])[:, :2].max())

@@ -65,6 +65,7 @@ def t_interval(
     from it by a constant; `bounds` are the smallest and the largest possible value. The ends are
     NaN if a stratum has one run.
     """
+    check_confidence(confidence)
     degrees = [len(stratum) - 1.0 for stratum in strata]
     if not all(degrees):
         return Interval(value, math.nan, math.nan)
@@ -82,8 +83,7 @@ def welch_interval(
     """As `t_interval`, from the variances of independent parts and their degrees of freedom."""
     from scipy.special import stdtrit  # slow to import
 
-    if not 0.0 < confidence < 1.0:
-        raise ValueError(f"confidence: expected more than 0 and less than 1, found {confidence:g}")
+    check_confidence(confidence)
     parts = np.asarray(variances, np.float64)
     total = float(parts.sum())
     welch = total**2 / (parts**2 / np.asarray(degrees)).sum() if total > 0.0 else 1.0
@@ -96,6 +96,7 @@ def wilson_interval(value: float, count: float, confidence: float = CONFIDENCE) 
 
     `value` is the mean of `count` independent zeros and ones; `count` may be an effective number.
     """
+    check_confidence(confidence)
     ratio = NormalDist().inv_cdf((1.0 + confidence) / 2.0) ** 2 / count
     centre = value + ratio / 2.0
     root = math.sqrt(max(centre**2 - (1.0 + ratio) * value**2, 0.0))
@@ -133,6 +134,12 @@ def weighted_sum(intervals: Sequence[Interval], weights: ArrayLike) -> Interval:
     above = factors * np.where(factors > 0, highs - values, lows - values)
     value = float(factors @ values)
     return Interval(value, value - math.hypot(*below), value + math.hypot(*above))
+
+
+def check_confidence(confidence: float) -> None:
+    """Raise `ValueError` if a confidence is not between 0 and 1."""
+    if not 0.0 < confidence < 1.0:
+        raise ValueError(f"confidence: expected more than 0 and less than 1, found {confidence:g}")
 
 
 def check_range(scores: Floats) -> None:
@@ -241,6 +248,11 @@ def generalisation_gap(
     both.
     """
     table, weights = _table(scores), gap_weights(env_ids, variant)
+    if table.shape[1] != len(weights):
+        raise ValueError(
+            "scores: expected a column for each environment, found "
+            f"{table.shape[1]} columns and {len(weights)} environments"
+        )
     compared = table[:, weights != 0]
     evaluated = ~np.isnan(compared).all(axis=1)
     return _weighted_means(compared[evaluated], weights[weights != 0], confidence)

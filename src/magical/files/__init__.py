@@ -24,6 +24,7 @@ __all__ = [
     "owned",
     "read_bounded",
     "reading",
+    "remove_partial_files",
     "sha256_sum",
     "write_atomically",
     "write_json",
@@ -108,16 +109,6 @@ def sha256_sum(path: Path, **_: object) -> str:
     """The SHA-256 sum of a file."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-# What `demos` and `compiled` still call by other names.
-read_regular = read_bounded
-
-
-def open_regular(path: Path, mode: str = "rb", buffering: int = -1, **_: object) -> IO[bytes]:
-    """Open a file in a binary mode."""
-    file: IO[bytes] = path.open(mode, buffering)
-    return file
 
 
 def remove_partial_files(folder: Path, *names: str) -> None:

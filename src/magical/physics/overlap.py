@@ -55,7 +55,7 @@ class Solids:
     """
 
     def __init__(self) -> None:
-        self._space = pymunk.Space()
+        self.space = pymunk.Space()
         self._count = 0
         self._taken: list[Solid] = []
         self._spare: dict[Kind, list[Solid]] = defaultdict(list)
@@ -68,10 +68,10 @@ class Solids:
         solids: Solids = _local.solids
         for solid in solids._taken:
             if isinstance(solid.kind, Region):  # of its own size
-                solids._space.remove(solid.body, *solid.shapes)
+                solids.space.remove(solid.body, *solid.shapes)
             else:
                 solid.move(AWAY)
-                solids._space.reindex_shapes_for_body(solid.body)
+                solids.space.reindex_shapes_for_body(solid.body)
                 solids._spare[solid.kind].append(solid)
         solids._taken.clear()
         return solids
@@ -83,18 +83,18 @@ class Solids:
         else:
             self._count += 1
             solid = Solid(kind, self._count)
-            self._space.add(solid.body, *solid.shapes)
+            self.space.add(solid.body, *solid.shapes)
         self._taken.append(solid)
         return solid
 
     def place(self, solid: Solid) -> None:
         """Keep a solid where it has been moved to."""
-        self._space.reindex_shapes_for_body(solid.body)
+        self.space.reindex_shapes_for_body(solid.body)
 
     def overlaps(self, solid: Solid) -> Iterator[tuple[Solid, float]]:
         """The placed solids that another overlaps, with how far, in units; by pairs of shapes."""
         for shape in solid.shapes:
-            for hit in self._space.shape_query(shape):
+            for hit in self.space.shape_query(shape):
                 (other,) = (each for each in self._taken if hit.shape in each.shapes)
                 # The sign depends on the order of the two kinds of shapes.
                 depth = max(abs(point.distance) for point in hit.contact_point_set.points)

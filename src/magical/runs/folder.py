@@ -11,14 +11,14 @@
 
 import shutil
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from magical import untrusted
 from magical.errors import RunFolderError
-from magical.files import LOCK, owned
+from magical.files import LOCK, owned, remove_partial_files
 from magical.files import write_json as write_json
 from magical.messages import printable, quoted
 from magical.runs.machine import versions as versions
@@ -59,7 +59,7 @@ def opened_folder(path: Path, config: Mapping[str, Any], resume: bool) -> Iterat
         RunFolderError: another process trains this run; the folder holds another configuration, or
             the same one and `resume` is false; it holds other files; there is nothing to resume.
     """
-    new = not is_run(path)
+    new, existed = not is_run(path), path.exists()
     if resume and new:
         raise RunFolderError(f"{path}: expected a run to resume, found none")
     if new and path.exists() and not (path.is_dir() and {f.name for f in path.iterdir()} <= {LOCK}):
@@ -67,6 +67,7 @@ def opened_folder(path: Path, config: Mapping[str, Any], resume: bool) -> Iterat
         raise RunFolderError(f"{path}: expected a new or an empty folder, found {found}")
     with owned(path, RunFolderError, "trains this run"):
         if not new:
+            remove_partial_files(path, CONFIG, RECORD, METRICS, CHECKPOINT, CURVES)
             _check_existing(path, config, resume)
             yield
             return
@@ -79,8 +80,11 @@ def opened_folder(path: Path, config: Mapping[str, Any], resume: bool) -> Iterat
             logged = metrics.is_file() and metrics.stat().st_size > 0
             if not logged and not (path / CHECKPOINT).exists():
                 shutil.rmtree(path / TENSORBOARD, ignore_errors=True)
-                for name in (CONFIG, RECORD, METRICS, CURVES):
-                    (path / name).unlink(missing_ok=True)
+                with suppress(OSError):  # Windows keeps the lock file, which is open
+                    for name in (CONFIG, RECORD, METRICS, CURVES, LOCK):
+                        (path / name).unlink(missing_ok=True)
+                    if not existed:
+                        path.rmdir()
             raise
 
 

@@ -95,8 +95,9 @@ class Plan:
     def __post_init__(self) -> None:
         with _plan_errors():
             check_share("perturb", self.perturb)
-            checked_noise(self.nudge)
             object.__setattr__(self, "horizon", parse_horizon(self.horizon))
+        with _plan_errors("nudge: "):
+            checked_noise(self.nudge)
         with _plan_errors("tasks: "):
             for name in self.tasks:
                 require_imported(name, "the plan")
