@@ -5,6 +5,7 @@ import signal
 import sys
 import threading
 from collections.abc import Generator
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -14,8 +15,13 @@ import pytest
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 ROOT = Path(__file__).resolve().parent
 SHARED = ROOT.parent / "shared"
-# Tests of the studies and of the pages about them, which the source distribution has not.
-collect_ignore = [] if (ROOT / "studies").is_dir() else ["studies", "test_docs.py"]
+# What the source distribution has not, and what needs the companions, which may not be installed.
+collect_ignore = [] if (ROOT / "studies").is_dir() else ["tests/studies", "tests/test_docs.py"]
+if find_spec("magical_baselines") is None or find_spec("magical_goals") is None:
+    collect_ignore += ["baselines", "goals", "tests/studies", "tests/tools", "tests/test_docs.py"]
+    collect_ignore += ["tests/test_examples.py", "tests/report/test_curves.py"]
+if find_spec("magical_play") is None:
+    collect_ignore += ["play"]
 # Human demonstrations, which cannot be part of the repository: the folder of each fixture below.
 # Tests that ask for a fixture are skipped where its folder is missing.
 OUTSIDE = {

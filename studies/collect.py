@@ -50,6 +50,12 @@ LEFT: dict[str, Any] = {"init_from": "", "augment_by": "resampling", "transform"
 LEFT |= {"augment_scale": 1.0, "average_decay": 0.0}
 LEFT |= {"autoencoder": "appendix", "weight_metric": "euclidean", "weight_decay": 1e-4}
 LEFT |= {"kl_weight": 10.0, "ensemble_decay": 0.01}
+# Where a network of the studies was, and where it is now.
+MOVED = {
+    "studies.learners.candidate_networks.two_layers:NETWORK": (
+        "studies.demonstrations.two_layers:NETWORK"
+    )
+}
 DIGITS = 10  # hexadecimal digits of a digest of settings
 
 
@@ -82,6 +88,8 @@ class Collected:
             config = settings["config"]
             if config.get("augment_by") == "auto" and settings["expert_demos"] is None:
                 config["augment_by"] = "resampling"  # as recorded frames were
+            if config.get("network") in MOVED:
+                config["network"] = MOVED[config["network"]]
             settings["config"] = dict(each for each in config.items() if each not in LEFT.items())
 
     @classmethod

@@ -82,7 +82,6 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
         ["evaluate", "noop", "--test-evaluations", "0"],
         ["demos", "info", "--jso", "demos"],
         ["report", "runs", "--format", "csv"],
-        ["run", "quick", "--gpus", "1"],
         ["show"],
         ["show", "magical/MoveToCorner-Demo-v0", "--seed", "-1"],
         ["show", "magical/MoveToCorner-Demo-v0", "--seed", "one"],
@@ -282,3 +281,13 @@ def test_show_chooses_a_name(
     report = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert report["out"] == "magical-MoveToRegion-Demo-v0.png"
     assert (tmp_path / report["out"]).is_file()
+
+
+def test_a_command_of_a_distribution_that_is_not_installed_names_it(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(cli, "plugins", lambda group: {})
+    assert cli.main(["train", "bc", "--out", "run"]) == 1
+    error = capsys.readouterr().err
+    assert error.startswith("error: magical train: this command is of magical-baselines, which is")
+    assert "pip install ./baselines" in error

@@ -55,7 +55,7 @@ def test_magical_commands_work(
     argv: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if argv[0] == "train":
-        pytest.importorskip("torch", reason="the learning extra is not installed")
+        pytest.importorskip("magical_baselines", reason="magical-baselines is not installed")
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     for name, code in FILES.items():
@@ -85,7 +85,7 @@ PROGRAMS = [block for block in blocks("python") if "magical_baselines" not in bl
 @pytest.mark.parametrize(("page", "code"), PROGRAMS)
 def test_python_blocks_run(page: str, code: str, tmp_path: Path) -> None:
     if "torch" in code:
-        pytest.importorskip("torch", reason="the learning extra is not installed")
+        pytest.importorskip("magical_baselines", reason="magical-baselines is not installed")
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False
     )
@@ -159,7 +159,7 @@ def test_the_results_are_up_to_date() -> None:
 
 
 def test_paper_presets_have_what_the_appendix_states() -> None:
-    pytest.importorskip("torch", reason="the learning extra is not installed")
+    pytest.importorskip("magical_baselines", reason="magical-baselines is not installed")
     from magical_baselines import find_algorithm
     from magical_baselines.config import options
     from tools import preset_tables

@@ -87,7 +87,7 @@ def test_ppo_of_other_libraries(
 
 
 def test_the_training_of_five_minutes_runs(root: Path, tmp_path: Path) -> None:
-    pytest.importorskip("torch", reason="the learning extra is not installed")
+    pytest.importorskip("magical_baselines", reason="magical-baselines is not installed")
     page = root / "docs" / "five-minutes.md"
     (block,) = (
         text
@@ -110,7 +110,7 @@ def test_the_algorithm_of_the_documentation_trains(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    pytest.importorskip("torch", reason="the learning extra is not installed")
+    pytest.importorskip("magical_baselines", reason="magical-baselines is not installed")
     page = (root / "docs" / "how-to" / "algorithm.md").read_text()
     (block,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
     (tmp_path / "my_bc.py").write_text(block)
@@ -134,7 +134,7 @@ def test_the_algorithm_of_the_documentation_trains(
 
 
 def test_the_tutorial_runs(root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("torch", reason="the learning extra is not installed")
+    pytest.importorskip("magical_baselines", reason="magical-baselines is not installed")
     from tools.run_notebook import read_notebook, run_notebook
 
     notebook = read_notebook(root / "examples" / "tutorial.ipynb")

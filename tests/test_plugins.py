@@ -343,7 +343,7 @@ def test_tasks_experts_and_policies_of_a_distribution(installed: Installed) -> N
 
 
 def test_an_algorithm_of_a_distribution_is_resumed_and_listed(installed: Installed) -> None:
-    pytest.importorskip("torch")
+    pytest.importorskip("magical_baselines")
     installed.magical("demos generate --env magical/EmptyRegion-Demo-v0 -n 3 --out demos")
     installed.magical(
         "train smooth-bc --preset quick --task EmptyRegion --demos demos --num-demos 3 --batches 4 "
@@ -362,7 +362,7 @@ def test_an_algorithm_of_a_distribution_is_resumed_and_listed(installed: Install
 
 
 def test_an_algorithm_of_a_distribution_in_plans_and_reports(installed: Installed) -> None:
-    pytest.importorskip("torch")
+    pytest.importorskip("magical_baselines")
     (installed.folder / "plan.toml").write_text(PLAN)
     installed.magical("run plan.toml --out runs --workers 1")
     installed.magical("report runs --format markdown --out report.md")
