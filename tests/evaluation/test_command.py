@@ -85,7 +85,7 @@ def test_a_policy_with_wrong_outputs_says_what_was_expected(
         status, _, err = evaluate(capsys, f"{tmp_path / 'two.py'}:{name}", "--task", "MoveToRegion")
         assert status == 1
         assert f"two.py:{name}: expected an object with act(observations, env_ids, rng), " in err
-    pytest.importorskip("torch", reason="the learning extra is not installed")
+    pytest.importorskip("magical_baselines", reason="magical-baselines is not installed")
     status, _, err = evaluate(capsys, str(tmp_path))
     assert status == 1
     assert "expected a run folder" in err
