@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from magical.errors import RunFolderError
-from magical.files import LOCK, is_locked, locked, owned
+from magical.files import LOCK, is_locked, owned
 
 HOLD = """
 import sys, pathlib
@@ -28,7 +28,7 @@ def test_a_held_folder_is_refused_at_once(tmp_path: Path) -> None:
             owned(tmp_path / "a", RunFolderError, "trains this run"),
         ):
             pass
-    with owned(tmp_path / "a", RunFolderError, ""), locked(tmp_path / "another"):
+    with owned(tmp_path / "a", RunFolderError, ""), owned(tmp_path / "b", RunFolderError, ""):
         pass
     assert not is_locked(tmp_path / "a" / LOCK)
 

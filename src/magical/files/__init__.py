@@ -13,13 +13,12 @@ from pathlib import Path
 from typing import IO, Any
 
 from magical.errors import MagicalError
-from magical.files.lock import LOCK, is_locked, is_out_of_space, locked, owned
+from magical.files.lock import LOCK, is_locked, is_out_of_space, owned
 
 __all__ = [
     "LOCK",
     "is_locked",
     "is_out_of_space",
-    "locked",
     "make_folder",
     "owned",
     "read_bounded",
@@ -105,7 +104,7 @@ def reading(path: Path | str, error: type[MagicalError]) -> Iterator[None]:
         raise error(f"{name}: expected a readable file, found {found}") from problem
 
 
-def sha256_sum(path: Path, **_: object) -> str:
+def sha256_sum(path: Path) -> str:
     """The SHA-256 sum of a file."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

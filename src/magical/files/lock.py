@@ -1,7 +1,6 @@
 """File locks between processes and threads; a process that ends or is killed releases its locks."""
 
 import errno
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,19 +10,6 @@ from filelock import FileLock, Timeout
 from magical.errors import MagicalError
 
 LOCK = ".lock"  # the lock of a folder
-
-
-@contextmanager
-def locked(path: Path, *, reading: bool = False) -> Iterator[None]:
-    """Hold an exclusive lock on the file `path`; waits until it is free.
-
-    With `reading` no lock is taken if there is no lock file, as in a read-only copy.
-    """
-    if reading and not os.access(path, os.W_OK):
-        yield
-        return
-    with FileLock(path):
-        yield
 
 
 @contextmanager

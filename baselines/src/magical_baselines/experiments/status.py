@@ -6,16 +6,15 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from filelock import FileLock, Timeout
-
 from magical.errors import MagicalError, ResultsError
 from magical.evaluation.entry import ENTRY_FILE
+from magical.files import LOCK, is_locked
 from magical.messages import printable, quoted
 from magical.runs.metrics import read_metrics
 from magical.runs.plan import PLAN, REFERENCES, RESULT, RUNS, ListedRun, read_listing
 from magical.untrusted import read_json
 
-DEMOS, LOCK = "demos", ".lock"  # in the results folder
+DEMOS = "demos"  # in the results folder, as is `LOCK`
 DONE, FAILED = "done", "failed"  # states in `result.json`
 RUNNING, WAITING = "running", "waiting"  # a run without `result.json`, in progress or not
 STATES = (DONE, FAILED, RUNNING, WAITING)
@@ -120,14 +119,3 @@ def read_result(folder: Path) -> dict[str, Any]:
 def lock_of(folder: Path) -> Path:
     """The lock of a run, beside its folder: training removes a folder that holds nothing yet."""
     return folder.with_name(f".{folder.name}.lock")
-
-
-def is_locked(path: Path) -> bool:
-    """Whether another process holds the lock on a file."""
-    if not path.exists():
-        return False
-    try:
-        with FileLock(path, timeout=0):
-            return False
-    except Timeout:
-        return True
