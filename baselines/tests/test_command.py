@@ -229,3 +229,11 @@ def test_the_run_folder_gets_a_picture_of_the_learning_curves(demos: Path, tmp_p
     pytest.importorskip("matplotlib", reason="the report extra is not installed")
     assert main(bc(demos, tmp_path / "run")) == 0
     assert (tmp_path / "run" / "learning-curves.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_an_option_that_is_given_twice_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tasks = ["--task", "MoveToRegion", "--task=MoveToCorner"]
+    assert main(["train", "bc", *tasks, "--out", str(tmp_path / "run")]) == 2
+    assert "--task: given more than once" in capsys.readouterr().err

@@ -119,6 +119,9 @@ def parse(kind: type["Config"], algorithm: str, words: Sequence[str]) -> dict[st
         fields[field.name] = _option(kind, field)
     make_type: Any = TypedDict  # from a dict, which type checkers do not follow
     table: Any = make_type("Options", fields, total=False)  # what is not given is left out
+    for flag in ("--task", "--tasks", "--track", "--variants"):  # tyro takes the last ones' values
+        if sum(word.partition("=")[0] == flag for word in words) > 1:
+            raise UsageError(f"{flag}: given more than once; put all values after one")
     summary, printed = (kind.__doc__ or "").splitlines()[0], io.StringIO()
     try:
         with redirect_stderr(printed):
