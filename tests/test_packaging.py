@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+import magical
+
 HEAVY = ("torch", "numba", "scipy", "pandas", "pymunk", "PIL", "matplotlib", "rich")
 
 
@@ -58,6 +60,25 @@ def test_wheel_holds_every_file_of_the_package(wheel: Path, root: Path) -> None:
     for needed in ("evaluation/data/published-scores.csv",):
         assert any(name.startswith(f"magical/{needed}") for name in names), needed
     assert not [name for name in names if "studies" in name or "scores.csv.gz" in name]
+
+
+@pytest.mark.parametrize("name", ["baselines", "goals", "play"])
+def test_the_wheel_of_a_companion_holds_its_files_and_has_the_same_version(
+    name: str, root: Path, tmp_path: Path
+) -> None:
+    if not (root / name).is_dir():
+        pytest.skip("the source distribution has no companions")
+    flags = ("--no-isolation", "--wheel", "--outdir", str(tmp_path))
+    run_python("-m", "build", *flags, str(root / name), cwd=tmp_path)
+    (built,) = tmp_path.glob(f"magical_{name}-{magical.__version__}-py3-none-any.whl")
+    source = root / name / "src"
+    expected = {
+        path.relative_to(source).as_posix()
+        for path in source.rglob("*")
+        if path.is_file() and path.suffix not in {".pyc", ".nbi", ".nbc"}
+    }
+    with zipfile.ZipFile(built) as archive:
+        assert expected <= set(archive.namelist())
 
 
 def test_the_source_distribution_has_what_its_tests_need(distributions: Path, root: Path) -> None:
