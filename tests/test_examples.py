@@ -38,7 +38,7 @@ def test_third_party_policy(root: Path, capsys: pytest.CaptureFixture[str]) -> N
 
 def test_third_party_policy_by_name(root: Path) -> None:
     policy = load_policy(f"{root / 'examples' / 'third_party_policy.py'}:SeekColour")
-    scores = evaluate(policy, environments(policy.tasks, ["Demo"]), rollouts=1, workers=0)  # type: ignore[attr-defined]
+    scores = evaluate(policy, environments(policy.tasks, ["Demo"]), rollouts=1, workers=0)
     assert [row.score for row in scores] == [1.0]
 
 

@@ -110,7 +110,7 @@ def test_optimisers_continue_bit_for_bit(kind: str, tmp_path: Path) -> None:
     def made() -> tuple[nn.Module, Optimizer]:
         torch.manual_seed(0)
         net = nn.Conv2d(3, 4, 3)
-        net.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        net.to(memory_format=torch.channels_last)
         if kind == "sgd":
             return net, SGD(net.parameters(), 0.1, 0.9, fused=True)
         return net, Adam(net.parameters(), 0.1, fused=True)

@@ -156,7 +156,7 @@ def test_scores_and_final_values_are_of_the_tasks_whose_episodes_end(
         rollout = collect_rollout(envs, random, 40, True, rng())
     assert [task for task, _ in rollout.scores] == [1]
     assert rollout.next_values.tolist() == [[1.0, 2.0]] * 40
-    assert len(rollout.actions.unique(dim=0)) > 20  # type: ignore[no-untyped-call]
+    assert len(rollout.actions.unique(dim=0)) > 20
 
 
 def test_observations_may_be_views_with_gaps(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,6 +1,6 @@
 """How numba compiles: at the first call, kept on disk, without the interpreter's lock.
 
-numba's own cache looks at the source of one file, imports SciPy when it loads code, and reads a
+numba's own cache looks at the source of one file, imports SciPy on loading code, and reads a
 folder that others may write. Here the key has a digest of all sources that kernels take constants
 from, and nothing is kept where the folder is not the user's own.
 """

@@ -81,10 +81,6 @@ class WorkerDiedError(MagicalError, RuntimeError):
     """A worker process exited or was killed."""
 
 
-class WorkerError(MagicalError, RuntimeError):
-    """A worker's exception whose class cannot be rebuilt; its traceback is the cause."""
-
-
 class InvalidScoreError(MagicalError, ValueError):
     """A task's score that is not a number from 0 to 1."""
 

@@ -39,7 +39,7 @@ def test_demonstration_matches_the_environment() -> None:
     for step, action in enumerate(trajectory.actions.tolist(), 1):
         *_, info = env.step(action)
         assert trajectory.poses is not None
-        state = env.unwrapped.state()  # type: ignore[attr-defined]
+        state = env.unwrapped.state()
         np.testing.assert_array_equal(state.poses.bodies, trajectory.poses[step])
     assert info["eval_score"] == trajectory.score
     assert (trajectory.demonstrator, trajectory.seed) == ("expert", seed)

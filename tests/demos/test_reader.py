@@ -25,7 +25,7 @@ OBSERVATIONS: dict[str, Any] = {
     **{preset: preset for preset in PRESETS},
     "raw": "raw",
     "state": "state",
-    "own": PixelSpec((("ego", 2), ("allo", 3)), size=40, samples=2),  # type: ignore[arg-type]
+    "own": PixelSpec((("ego", 2), ("allo", 3)), size=40, samples=2),
 }
 
 
@@ -74,7 +74,7 @@ def test_recorded_frames_give_the_low_resolution_presets(
     make_trajectory: MakeTrajectory, preset: str
 ) -> None:
     with_poses = make_trajectory("magical/FixColour-TestAll-v0")
-    frames = observations(with_poses, PixelSpec((("ego", 1), ("allo", 1)), separate=True))  # type: ignore[arg-type]
+    frames = observations(with_poses, PixelSpec((("ego", 1), ("allo", 1)), separate=True))
     assert isinstance(frames, dict)
     recorded = replace(with_poses, frames=frames, bodies=None, score=None)
     assert_same(observations(recorded, preset), observations(with_poses, preset))

@@ -97,9 +97,9 @@ def test_episodes_that_a_wrapper_resets_are_stored(tmp_path: Path) -> None:
 def test_set_state_in_an_episode_is_refused(tmp_path: Path, later: Any) -> None:
     env = RecordTrajectories(make(), tmp_path / "d", demonstrator="x")
     env.reset(seed=0)
-    saved = env.unwrapped.get_state()  # type: ignore[attr-defined]
+    saved = env.unwrapped.get_state()
     later(env)
-    env.unwrapped.set_state(saved)  # type: ignore[attr-defined]
+    env.unwrapped.set_state(saved)
     with pytest.raises(TrajectoryError, match="not recorded from its start"):
         roll_on(env, np.random.default_rng(0))
 

@@ -140,7 +140,7 @@ def test_autoreset_as_gymnasiums_own(mode: AutoresetMode, workers: int) -> None:
     solved: dict[str, Any] = {"scene": Scene(Pose(0.5, 0.0, 0.0), (square,))}
     same(own.reset(seed=5, options=solved), plain.reset(seed=5, options=solved))
     own.set_state(1, own.get_state(0))
-    plain.envs[1].set_state(plain.envs[0].get_state())  # type: ignore[attr-defined]
+    plain.envs[1].set_state(plain.envs[0].get_state())
     successes, kept = [], []
     for actions in actions_for(3, 8):
         found = own.step(actions)
@@ -421,7 +421,7 @@ def test_wrong_seeds_and_masks_are_refused() -> None:
     envs = vector()
     for seed in ([1, 2], -1, 1.5, ["a", "b", "c"]):
         with pytest.raises(ValueError, match="seed: expected"):
-            envs.reset(seed=seed)  # type: ignore[arg-type]
+            envs.reset(seed=seed)
     for mask in (np.zeros(3, np.bool_), np.ones(2, np.bool_), np.ones(3)):
         with pytest.raises(ValueError, match="reset_mask: expected bool"):
             envs.reset(options={"reset_mask": mask})

@@ -72,7 +72,7 @@ def test_a_specification_from_outside_is_accepted() -> None:
 @pytest.mark.parametrize("bad", ["LoRes5E", 7, {"colour": 1}, {"parts": [["top", 1]]}])
 def test_unknown_specs(bad: object) -> None:
     with pytest.raises(UnknownNameError, match="expected"):
-        make_spec(bad, TASK)  # type: ignore[arg-type]
+        make_spec(bad, TASK)
 
 
 @pytest.mark.parametrize(
@@ -89,7 +89,7 @@ def test_unknown_specs(bad: object) -> None:
 )
 def test_impossible_specs(fields: dict[str, object]) -> None:
     with pytest.raises(ValueError, match="expected"):
-        PixelSpec(**fields)  # type: ignore[arg-type]
+        PixelSpec(**fields)
 
 
 def test_a_picture_has_all_frames_side_by_side() -> None:

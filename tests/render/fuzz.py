@@ -40,7 +40,7 @@ def mutated_scene(scene: Scene, rng: np.random.Generator) -> Scene:
             case 0 if regions:
                 name = str(rng.choice(["x", "y", "width", "height"]))
                 i = int(rng.integers(len(regions)))
-                regions[i] = replace(regions[i], **{name: extreme(rng)})  # type: ignore[arg-type]
+                regions[i] = replace(regions[i], **{name: extreme(rng)})
             case 1 if blocks:
                 i = int(rng.integers(len(blocks)))
                 pose = list(blocks[i].pose)

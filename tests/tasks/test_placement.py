@@ -67,7 +67,7 @@ def test_a_scene_without_room_is_restarted(monkeypatch: pytest.MonkeyPatch) -> N
     def counted(*arguments: object) -> Scene:
         nonlocal attempts
         attempts += 1
-        return attempt(*arguments)  # type: ignore[arg-type]
+        return attempt(*arguments)
 
     monkeypatch.setattr(placement, "_attempt", counted)
     scene = replace(CROWDED, blocks=CROWDED.blocks[:12])

@@ -62,7 +62,7 @@ def test_a_task_can_be_registered_and_unregistered() -> None:
     with pytest.raises(UnknownNameError):
         unregister_task("MakeTwoLines")
     with pytest.raises(TypeError):
-        TASKS["MakeLine"] = NEW  # type: ignore[index]
+        TASKS["MakeLine"] = NEW
 
 
 def test_a_taken_name_is_refused() -> None:

@@ -134,7 +134,7 @@ def test_too_many_blocks_are_rejected() -> None:
 )
 def test_contradictory_fields_are_rejected(fields: dict[str, object], message: str) -> None:
     with pytest.raises(InvalidTaskError, match=message):
-        replace(MOVE_TO_CORNER, **fields)  # type: ignore[arg-type]
+        replace(MOVE_TO_CORNER, **fields)
 
 
 def test_a_task_made_from_another_has_one_horizon() -> None:

@@ -85,7 +85,7 @@ def test_autoencoder_learns_what_it_is_shown(trajectories: list[Trajectory]) -> 
     for _ in range(15):
         error, cross = autoencoder_loss(images, actions, *network(images, actions))
         optimizer.zero_grad()
-        (error + cross).backward()  # type: ignore[no-untyped-call]
+        (error + cross).backward()
         optimizer.step()
         losses.append((error.item(), cross.item()))
     assert losses[-1][0] < 0.7 * losses[0][0]

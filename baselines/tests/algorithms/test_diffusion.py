@@ -63,7 +63,7 @@ class Counting(nn.Module):
 @pytest.mark.parametrize("steps", [1, 2, 10, NOISE_LEVELS])
 def test_the_sampler_visits_so_many_levels_down_to_the_actions(steps: int) -> None:
     network, samples = make_policy(config(denoising_steps=steps)).eval(), batch()
-    network.denoiser = counting = Counting(samples.actions)  # type: ignore[assignment]
+    network.denoiser = counting = Counting(samples.actions)
     with torch.no_grad():
         found = network(samples.images, samples.tasks, torch.zeros(3, LENGTH, 3))
     assert torch.equal(found, samples.actions)
@@ -90,9 +90,9 @@ def test_steps_between_follow_the_deterministic_sampler() -> None:
 
 def test_training_adds_noise_of_all_levels_and_keeps_the_variance() -> None:
     network = make_policy(config())
-    network.trunk = _Brightness()  # type: ignore[assignment]
+    network.trunk = _Brightness()
     many = Chunks(*(each.repeat_interleave(300, dim=0) for each in batch()))
-    network.denoiser = counting = Counting(many.actions + 0.5)  # type: ignore[assignment]
+    network.denoiser = counting = Counting(many.actions + 0.5)
     torch.manual_seed(0)
     assert diffusion_losses(network, many)["loss"].item() == pytest.approx(0.25)
     noisy, levels = counting.seen
@@ -105,10 +105,10 @@ def test_training_adds_noise_of_all_levels_and_keeps_the_variance() -> None:
 
 def test_unknown_actions_are_not_learned() -> None:
     network = make_policy(config())
-    network.trunk = _Brightness()  # type: ignore[assignment]
+    network.trunk = _Brightness()
     unknown = batch()._replace(padded=torch.zeros(3, LENGTH, dtype=torch.bool))
     predicted = unknown.actions.clone().requires_grad_()
-    network.denoiser = Counting(predicted + 0.5)  # type: ignore[assignment]
+    network.denoiser = Counting(predicted + 0.5)
     torch.autograd.backward(diffusion_losses(network, unknown)["loss"])
     assert predicted.grad is not None
     assert torch.equal(predicted.grad != 0.0, unknown.exist[..., None].expand(-1, -1, 3))
@@ -123,7 +123,7 @@ class _Brightness(nn.Module):
 
 def test_actions_are_overfitted_and_sampled() -> None:
     network, samples = make_policy(config()), batch()
-    network.trunk = _Brightness()  # type: ignore[assignment]
+    network.trunk = _Brightness()
     optimizer = torch.optim.AdamW(network.parameters(), 2e-3)
     many = Chunks(*(each.repeat_interleave(16, dim=0) for each in samples))
     torch.manual_seed(0)

@@ -92,10 +92,10 @@ def test_the_minimum_imitates_and_its_rewards_are_the_divergence_s() -> None:
         optimizer.zero_grad()
         rows = q.expand(8, 18)
         loss, _ = iq_loss(rows, soft_value(rows, settings.temperature), batch, settings)
-        loss.backward()  # type: ignore[no-untyped-call]
+        loss.backward()
         return loss
 
-    optimizer.step(closure)  # type: ignore[no-untyped-call]
+    optimizer.step(closure)
     probabilities = (q / settings.temperature).softmax(dim=1)[0].tolist()
     rewards = q[0] - settings.gamma * soft_value(q, settings.temperature)
     for action in (0, 1, 2):

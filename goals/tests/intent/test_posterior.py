@@ -88,7 +88,7 @@ def test_meanings_are_told_apart_by_what_selections_name_in_all_scenes() -> None
     colour = FIX.blocks[0].colour
     same_colour = replace(FIX, blocks=tuple(replace(b, colour=colour) for b in FIX.blocks))
     one, both = (Language(scenes) for scenes in ([FIX], [FIX, same_colour]))
-    selection = parse(MISMATCHED).selection  # type: ignore[attr-defined]
+    selection = parse(MISMATCHED).selection
     alone = one.alternatives[one.named_by(selection)]
     assert selection in alone
     assert len(both.alternatives[both.named_by(selection)]) < len(alone)

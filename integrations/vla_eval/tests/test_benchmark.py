@@ -20,7 +20,7 @@ SIGNS = (0, 1, -1)  # of stop, forward, back; of straight, left, right
 POINTS = [(SIGNS[a.longitudinal], SIGNS[a.turn], 2 * a.gripper - 1) for a in ACTIONS]
 
 
-class ExpertServer(PredictModelServer):  # type: ignore[misc]
+class ExpertServer(PredictModelServer):
     """Replays the scripted expert's actions of the episode that the harness plays."""
 
     def __init__(self) -> None:
@@ -39,7 +39,7 @@ class ExpertServer(PredictModelServer):  # type: ignore[misc]
         return {"actions": self.actions[ctx.session_id][ctx.step]}
 
 
-class StillServer(PredictModelServer):  # type: ignore[misc]
+class StillServer(PredictModelServer):
     def predict(self, obs: Any, ctx: Any) -> dict[str, Any]:
         return {"actions": np.array([0.0, 0.0, -1.0], np.float32)}
 

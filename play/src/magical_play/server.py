@@ -125,7 +125,7 @@ def listen(host: str, port: int) -> sockets.socket:
 def make_server(app: Starlette) -> uvicorn.Server:
     """The server for an application: `run(sockets=[listening])` serves until it is stopped.
 
-    The renderer is compiled, or loaded from the cache, here, so that nobody waits for it later.
+    The renderer is compiled, or loaded from the cache, here, so that no visitor waits for it later.
     """
     warm_up(SAMPLES)
     config = uvicorn.Config(

@@ -267,7 +267,7 @@ class Session:
     def advance(self, now: float) -> None:
         """Step if a step is due; pause the episode if the page has gone silent.
 
-        After a delay, missed steps are not caught up: nobody could have seen them.
+        After a delay, missed steps are not caught up: no player could have seen them.
         """
         step_time = STEP_TIME / (self._speed if isinstance(self.episode, RecordedEpisode) else 1)
         if self.phase is not Phase.PLAYING:

@@ -419,7 +419,7 @@ class _Copy:
         return [sys.getrefcount(array) for array in _leaves(self._arrays)]
 
     def is_free(self) -> bool:
-        """Whether nobody holds the arrays: every view of them, at any remove, refers to them."""
+        """Whether no caller holds the arrays: every view of them, at any remove, refers to them."""
         return self._references() == self._free
 
     def hand_out(self) -> Any:

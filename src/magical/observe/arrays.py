@@ -31,11 +31,6 @@ def copy_arrays(observation: Any) -> Any:
     return map_arrays(lambda array: array.copy(), observation)
 
 
-def assign(target: Any, observation: Any) -> None:
-    """Write an observation into arrays of the same shape."""
-    map_arrays(np.copyto, target, observation)
-
-
 def gather(arrays: Mapping[str, NDArray[Any]]) -> Any:
     """An observation from its arrays by name: the single array itself, or a dict."""
     return arrays[SINGLE] if SINGLE in arrays else dict(arrays)

@@ -5,7 +5,6 @@ A.1; docs/specification.md, section 1). A continuous action is a point (drive, t
 from -1 to 1: back to forward, right to left, open to closed.
 """
 
-from collections.abc import Sequence
 from enum import IntEnum
 from typing import NamedTuple
 
@@ -64,7 +63,6 @@ NUM_ACTIONS = len(ACTIONS)
 MIRRORED_ACTIONS = tuple(a._replace(turn=Turn(-a.turn % len(Turn))).id for a in ACTIONS)
 NOOP = Action().id
 
-AnyAction = int | Sequence[float]  # a discrete action's number, or a continuous one's three parts
 PARTS = ("drive", "turn", "grip")  # of a continuous action
 
 _DRIVE = {Longitudinal.STOP: 0.0, Longitudinal.FORWARD: 1.0, Longitudinal.BACK: -1.0}
