@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from magical.physics.overlap import Kind, Solids
@@ -58,6 +58,10 @@ def depth(a: Piece, b: Piece) -> float:
 
 @settings(max_examples=300, deadline=None)
 @given(placed, placed)
+@example(
+    (Region(Colour.RED, 0.0, 0.0, 0.5, 0.125), Pose(0.0625, 0.0, 0.0)),
+    (Region(Colour.RED, 0.0, 0.0, 0.5, 0.1), Pose(0.0, 0.0, 0.0)),
+)
 def test_overlap_and_depth_are_those_of_the_separating_axis_test(
     one: tuple[Kind, Pose], two: tuple[Kind, Pose]
 ) -> None:

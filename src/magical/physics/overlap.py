@@ -30,7 +30,9 @@ class Solid:
         self.body = pymunk.Body(body_type=pymunk.Body.STATIC)
         self.body.position = AWAY[:2]
         self.shapes: list[pymunk.Shape]
+        self.core = c.BLOCK_SIZE / 2  # the radius of a disc inside it
         if isinstance(kind, Region):
+            self.core = min(kind.width, kind.height) / 2
             self.shapes = [pymunk.Poly(self.body, rectangle(kind.width, kind.height))]
         elif kind is None:
             fingers = [pymunk.Poly(self.body, polygon) for polygon in robot_polygons()]
@@ -99,4 +101,5 @@ class Solids:
                 # The sign depends on the order of the two kinds of shapes.
                 depth = max(abs(point.distance) for point in hit.contact_point_set.points)
                 # Of polygons that coincide, Chipmunk finds none.
-                yield other, max(depth, c.BLOCK_SIZE - math.dist(other.pose[:2], solid.pose[:2]))
+                distance = math.dist(other.pose[:2], solid.pose[:2])
+                yield other, max(depth, other.core + solid.core - distance)
