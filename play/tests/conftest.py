@@ -1,26 +1,24 @@
 """A server on loopback, a page in a browser, a dataset."""
 
 import os
-from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
 from magical.demos import DatasetWriter
 from magical.demos.generate import demonstrate
-from play.tests.browser import Tab, find_browser, start_browser
-from play.tests.serving import RunningServer, running
+from play.tests.browser import find_browser, start_browser
+from play.tests.serving import running
 
 
 @pytest.fixture
-def server(tmp_path: Path) -> Iterator[RunningServer]:
+def server(tmp_path):
     """A server that records into `demos` in the test's folder."""
     with running(tmp_path / "demos") as started:
         yield started
 
 
 @pytest.fixture
-def tab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Tab]:
+def tab(tmp_path_factory):
     """Of headless Chromium; without it, tests are skipped, or fail if REQUIRE_CHROMIUM is set."""
     program = find_browser()
     if program is None:
@@ -31,7 +29,7 @@ def tab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Tab]:
 
 
 @pytest.fixture(scope="session")
-def demos(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def demos(tmp_path_factory):
     """A dataset of two perturbed demonstrations, of seeds 1 and 2."""
     folder = tmp_path_factory.mktemp("datasets") / "demos"
     writer = DatasetWriter(folder)
