@@ -1,20 +1,34 @@
 """A server on loopback, a page in a browser, a dataset."""
 
 import os
+import threading
 
 import pytest
 
 from magical.demos import DatasetWriter
 from magical.demos.generate import demonstrate
+from magical_play.policies import Policies
+from magical_play.security import make_guard
+from magical_play.server import PlayServer, listen, make_server
+from magical_play.session import Session
 from play.tests.browser import find_browser, start_browser
-from play.tests.serving import running
+from play.tests.serving import ENV, TOKEN, RunningServer
 
 
 @pytest.fixture
 def server(tmp_path):
-    """A server that records into `demos` in the test's folder."""
-    with running(tmp_path / "demos") as started:
-        yield started
+    """On a free port of loopback, in MoveToRegion; it records into `demos` in the test's folder."""
+    record = tmp_path / "demos"
+    session = Session(ENV, Policies(), [record], DatasetWriter(record))
+    with listen("127.0.0.1", 0) as listening:
+        server = make_server(PlayServer(make_guard("127.0.0.1", TOKEN), session).app)
+        thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]})
+        thread.start()
+        try:
+            yield RunningServer(listening.getsockname()[1], session)
+        finally:
+            server.should_exit = True
+            thread.join()
 
 
 @pytest.fixture

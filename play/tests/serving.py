@@ -2,18 +2,12 @@
 
 import http.client
 import json
-import threading
 from contextlib import contextmanager, suppress
 
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
-from magical.demos import DatasetWriter
 from magical.envs import EnvId
-from magical_play.policies import Policies
-from magical_play.security import make_guard
-from magical_play.server import PlayServer, listen, make_server
-from magical_play.session import Session
 
 TOKEN = "a-token-of-the-tests"
 TIMEOUT = 60.0  # s
@@ -82,18 +76,3 @@ def close_code(socket):
         while True:
             socket.recv(timeout=TIMEOUT)
     return socket.close_code
-
-
-@contextmanager
-def running(record):
-    """A server on a free port of loopback that starts in MoveToRegion."""
-    session = Session(ENV, Policies(), [record], DatasetWriter(record))
-    with listen("127.0.0.1", 0) as listening:
-        server = make_server(PlayServer(make_guard("127.0.0.1", TOKEN), session).app)
-        thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]})
-        thread.start()
-        try:
-            yield RunningServer(listening.getsockname()[1], session)
-        finally:
-            server.should_exit = True
-            thread.join()
