@@ -11,6 +11,7 @@ from magical.cli import main
 from magical.demos import Dataset, observations
 from magical.demos.generate import demonstrate
 from magical.errors import CheckpointError
+from magical.evaluation import evaluate
 from magical.evaluation.seeds import RolloutRng
 from magical.scene import NOOP
 from magical.tasks import get_task
@@ -69,6 +70,12 @@ def test_a_task_is_believed_the_same_alone(run, expert_demos):
     demonstrations = tuple((TASKS[1], trajectory) for trajectory in dataset)
     alone = infer_beliefs(config, parse_demonstrations(demonstrations, parse_frames))
     assert beliefs_of(run)[TASKS[1]].explanations == alone[TASKS[1]].explanations
+
+
+def test_programs_are_carried_out(run):
+    names = [f"magical/{name}-v0" for name in ("FixColour-TestDynamics", "MoveToRegion-TestAll")]
+    scores = evaluate(load(run), names, rollouts=4, workers=0)
+    assert np.mean([row.score for row in scores]) > 0.8
 
 
 def test_what_is_done_stops_the_robot(run, stacks):
