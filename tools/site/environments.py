@@ -28,7 +28,7 @@ NOTE = (
     "(../../specification.md#9-where-the-published-code-scores-differently), all others by the "
     "[protocol](../../protocol.md). The best entries are those with the highest TestAll score in "
     "this task on the [leaderboard](../../leaderboard.md), with a prior made for the benchmark "
-    "(class B) and without; the expert sees the true state."
+    "(track B) and without; the expert sees the true state."
 )
 
 
