@@ -1,6 +1,6 @@
 # The package with training and reports, from pinned versions:
 #   docker build -t magical . && docker run --rm -v "$PWD:/work" magical envs
-# With --build-arg PIP_EXTRA_INDEX_URL=... pip takes PyTorch's CPU build (docs/install.md).
+# With --build-arg PIP_EXTRA_INDEX_URL=... pip takes PyTorch's CPU build (docs/getting-started.md).
 FROM python:3.12-slim
 ARG PIP_EXTRA_INDEX_URL
 WORKDIR /source

@@ -1,6 +1,6 @@
 """Reinforcement learning with PufferLib, then the benchmark's evaluation.
 
-    pip install . ./baselines pufferlib-core
+    pip install . ./goals ./baselines pufferlib-core
 
 PPO is trained on MoveToRegion with state vectors and the dense reward, then evaluated on every
 variant.

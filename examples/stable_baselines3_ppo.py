@@ -1,6 +1,6 @@
 """Reinforcement learning with Stable-Baselines3, then the benchmark's evaluation.
 
-    pip install . stable-baselines3
+    pip install . ./goals stable-baselines3
 
 PPO is trained on MoveToRegion with state vectors and the dense reward, then evaluated on every
 variant.

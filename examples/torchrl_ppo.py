@@ -1,6 +1,6 @@
 """Reinforcement learning with TorchRL, then the benchmark's evaluation.
 
-    pip install . ./baselines "torchrl>=0.14"
+    pip install . ./goals ./baselines "torchrl>=0.14"
 
 PPO is trained on MoveToRegion with state vectors and the dense reward, then evaluated on every
 variant.

@@ -76,27 +76,32 @@ ROOT = Path(__file__).resolve().parents[1]
 BY_TASK = tuple(
     f"program-bc-{name}" for name in ("human", "perception", "training", "scripted")
 )  # plans shown as a table by task
-SHOWN = {  # the generated table of each study's page
-    "published_tables": "agreement",
-    "demonstrations": "variations",
-    "generated_tasks": "held-out",
-    "intent": "program-bc-human",
-    "modern_baselines": "sequence-learners",
-    "objects": "gaps",
+SHOWN = {  # of each study's page: a generated table; the columns and the rows that are shown
+    "published_tables": ("agreement", "Row|On|Difference|Verdict", "8 tasks"),
+    "demonstrations": ("variations", "Change|On|Mean difference|Verdict", "8 tasks"),
+    "generated_tasks": ("held-out", "Mean over tasks|Demo|Layout|All.*", ""),
+    "intent": ("program-bc-human", r"program-bc \(ST\).*|Demo|All", ""),
+    "modern_baselines": ("sequence-learners", "Mean over .*|Demo|Colour|All|Gap", ""),
+    "objects": (
+        "gaps",
+        "Row|Track|Demo|TestAll|Gap",
+        r"published \||^BC \(.T\) \||100 perturbed|object-bc|^expert",
+    ),
 }
 CSV = {  # the generated tables in each study's folder `tables`
-    "published_tables": ("runs", "counts", "claims", "orders", "cells", "rejected"),
-    "demonstrations": ("variants",),
-    "generated_tasks": ("held-out-tasks",),
+    "published_tables": ("agreement", "runs", "counts", "claims", "orders", "cells", "rejected"),
+    "demonstrations": ("variations", "variants"),
+    "generated_tasks": ("held-out", "held-out-tasks"),
     "intent": (
-        *("program-bc-perception", "program-bc-training", "program-bc-scripted"),
-        *("program-bc-few", "object-networks-human"),
+        *("program-bc-human", "program-bc-perception", "program-bc-training"),
+        *("program-bc-scripted", "program-bc-few", "object-networks-human"),
     ),
     "modern_baselines": (
-        *("sequence-learners-held-out", "sequence-learners-longer", "sequence-learners-executed"),
-        *("executed-differences", "sequence-learners-hundred", "iq-learn", "iq-learn-gail"),
+        *("sequence-learners", "sequence-learners-held-out", "sequence-learners-longer"),
+        *("sequence-learners-executed", "executed-differences", "sequence-learners-hundred"),
+        *("iq-learn", "iq-learn-gail"),
     ),
-    "objects": ("baseline", "object-bc-ablations-human", "leaderboard", "others"),
+    "objects": ("gaps", "baseline", "object-bc-ablations-human", "leaderboard", "others"),
 }
 EXECUTED = "sequence-learners-executed"
 PICTURE = Path("published_tables", "results.png")
@@ -362,6 +367,21 @@ def as_csv(text: str) -> str:
     return file.getvalue()
 
 
+def excerpt(text: str, columns: str, rows: str) -> str:
+    """Of the first table whose first heading matches: the matching columns, the rows with a match.
+
+    The whole text if there is no such table.
+    """
+    for part in filter(None, text.split("\n\n")):
+        header, *lines = [line.strip("| ").split(" | ") for line in part.splitlines()]
+        numbers = [n for n, heading in enumerate(header) if re.fullmatch(columns, heading)]
+        if 0 in numbers:
+            kept = [header, *(line for line in lines[1:] if re.search(rows, " | ".join(line)))]
+            first, *others = ([line[number] for number in numbers] for line in kept)
+            return table(first, others)
+    return text
+
+
 def _plain(cell: str) -> str:
     """A cell without Markdown."""
     cell = re.sub(r"\[([^\]]+)\]\([^)]+\)", r"\1", cell).replace("<br>", "; ")
@@ -374,12 +394,14 @@ def main(arguments: Sequence[str], root: Path = ROOT) -> int:
     picture = root / "studies" / PICTURE
     made = page.sections()
     outdated = False
-    for study, name in SHOWN.items():
+    texts = {name: made[name]() for names in CSV.values() for name in names}
+    for study, (name, columns, rows) in SHOWN.items():
+        shown = partial(excerpt, texts[name], columns, rows)
         readme = root / "studies" / study / "README.md"
-        outdated |= bool(renew_page(arguments, readme, {name: made[name]}))
+        outdated |= bool(renew_page(arguments, readme, {name: shown}))
     for study, names in CSV.items():
         for name in names:
-            file, text = root / "studies" / study / "tables" / f"{name}.csv", as_csv(made[name]())
+            file, text = root / "studies" / study / "tables" / f"{name}.csv", as_csv(texts[name])
             if "--check" not in arguments:
                 file.parent.mkdir(exist_ok=True)
                 file.write_text(text, encoding="utf-8")

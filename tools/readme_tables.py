@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from operator import attrgetter
 from pathlib import Path
 from statistics import fmean
-from textwrap import TextWrapper
 from typing import NamedTuple
 
 from magical.evaluation import published_table, published_tasks
@@ -21,12 +20,8 @@ from magical.observe import PRESETS, PixelSpec
 from magical.report.found import Found, Result, search_results
 from magical.report.leaderboard import ALL_TASKS, Standing, check_entries, make_boards
 from magical.runs.sources import DEMONSTRATIONS, INTERACTION, track_of
-from magical.tasks import TASKS, get_task
-from magical_goals.language.generated import SUITE, task_name
-from magical_goals.language.programs import program_of
 
 ROOT = Path(__file__).resolve().parents[1]
-WRAP = TextWrapper(84, initial_indent="    ", subsequent_indent="      ")
 LEAST_RUNS = 3  # of each task in a row of results
 EXACT = "‡"  # marks scores in exact scenes, with the published horizon
 HUMAN = "human"  # in a plan: a dataset of the published demonstrations, which is downloaded
@@ -162,21 +157,9 @@ def results() -> str:
     return "\n".join([table(header, lines), "", "```bash", *commands, "```"])
 
 
-def programs() -> str:
-    """The programs of seven of the paper's tasks and three suite tasks, with instructions."""
-    tasks = [task for task in TASKS.values() if task.section and task.name != "ClusterShape"]
-    tasks += [get_task(task_name(number)) for number in SUITE[:3]]
-    lines = ["```text"]
-    for task in tasks:
-        words = repr(program_of(task.name)), task.instruction(task.demo)
-        lines += [task.name, *map(WRAP.fill, words)]
-    return "\n".join([*lines, "```"])
-
-
 PAGES: Mapping[Path, Mapping[str, Callable[[], str]]] = {
     ROOT / "README.md": {"results": results},
-    ROOT / "docs/observations.md": {"presets": presets},
-    ROOT / "docs/programs.md": {"programs": programs},
+    ROOT / "docs/environments.md": {"presets": presets},
 }
 
 

@@ -1,8 +1,6 @@
 """Cloning by programs from beginning to end, in the smallest runs."""
 
 import json
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -22,7 +20,6 @@ from magical_goals.intent.posterior import Belief, Explanation
 from magical_goals.language import parse
 from magical_goals.objects.data import parse_demonstrations
 from magical_goals.objects.parser import parse_frames
-from magical_goals.planning.planner import Planner, Situation
 from magical_goals.program_bc import (
     ProgramBCConfig,
     ProgramPolicy,
@@ -35,7 +32,7 @@ FIX = "magical/FixColour-Demo-v0"
 OUT = "Every(Mismatched(), OutOfRegions())"
 
 
-def load(run: Path, unexplained: float = 0.0) -> ProgramPolicy:
+def load(run, unexplained=0.0):
     """The policy, which believes of FixColour what moves the mismatched block out, or nothing."""
     policy = load_policy(run)
     assert isinstance(policy, ProgramPolicy)
@@ -45,29 +42,29 @@ def load(run: Path, unexplained: float = 0.0) -> ProgramPolicy:
 
 
 @pytest.fixture(scope="module")
-def stacks() -> Any:
+def stacks():
     """What is observed in a demonstration of FixColour: (T + 1, 96, 96, 12)."""
     return observations(demonstrate(FIX, seed=3), "LoRes4A")
 
 
 @pytest.fixture(scope="module")
-def run(expert_demos: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def run(expert_demos, tmp_path_factory):
     folder = tmp_path_factory.mktemp("program-bc") / "run"
-    fields: dict[str, Any] = {"demos": str(expert_demos), "batches": 2, "batch_size": 8}
+    fields = {"demos": str(expert_demos), "batches": 2, "batch_size": 8}
     config = tiny_runs.tiny(ProgramBCConfig, "paper", tasks=TASKS, **fields)
     assert train(config, folder).finished
     return folder
 
 
-def test_programs_of_each_task_are_inferred(run: Path) -> None:
+def test_programs_of_each_task_are_inferred(run):
     beliefs = beliefs_of(run)
     assert list(beliefs) == list(TASKS)
     assert repr(beliefs["MoveToRegion"].explanations[0].program) == "RobotInside()"
     assert beliefs["FixColour"].is_explained
 
 
-def test_a_task_is_believed_the_same_alone(run: Path, expert_demos: Path) -> None:
-    fields: dict[str, Any] = {"demos": str(expert_demos), "batches": 2, "batch_size": 8}
+def test_a_task_is_believed_the_same_alone(run, expert_demos):
+    fields = {"demos": str(expert_demos), "batches": 2, "batch_size": 8}
     config = tiny_runs.tiny(ProgramBCConfig, "paper", tasks=TASKS[1:], **fields)
     dataset = Dataset.open(expert_demos).filter(task=TASKS[1])
     demonstrations = tuple((TASKS[1], trajectory) for trajectory in dataset)
@@ -75,59 +72,24 @@ def test_a_task_is_believed_the_same_alone(run: Path, expert_demos: Path) -> Non
     assert beliefs_of(run)[TASKS[1]].explanations == alone[TASKS[1]].explanations
 
 
-def test_the_policy_acts_in_test_variants(run: Path) -> None:
-    names = [f"magical/{task}-TestAll-v0" for task in TASKS]
-    assert len(evaluate(load_policy(run), names, rollouts=2, workers=0)) == 4
+def test_programs_are_carried_out(run):
+    names = [f"magical/{name}-v0" for name in ("FixColour-TestDynamics", "MoveToRegion-TestAll")]
+    scores = evaluate(load(run), names, rollouts=4, workers=0)
+    assert np.mean([row.score for row in scores]) > 0.8
 
 
-def test_what_is_done_stops_the_robot(run: Path, stacks: Any) -> None:
+def test_what_is_done_stops_the_robot(run, stacks):
     policy, rng = load(run), np.random.default_rng(0)
     actions = [int(policy.act(stack[None], [FIX], rng)[0]) for stack in stacks]
     assert NOOP != actions[0]
     assert actions[-1] == NOOP
 
 
-def test_the_planner_sees_where_the_robot_was_a_step_ago(
-    run: Path, stacks: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    seen: list[Situation] = []
-
-    def noted(planner: Planner, situation: Situation, uniform: float | None) -> int:
-        seen.append(situation)
-        return NOOP
-
-    monkeypatch.setattr(Planner, "act", noted)
-    policy = load(run)
-    for stack in stacks[:4]:
-        policy.act(stack[None], [FIX], np.random.default_rng(0))
-    poses = [each.pose.tolist() for each in seen]
-    assert [each.before.tolist() for each in seen] == [poses[0], *poses[:-1]]
-    assert poses[3] != poses[2] != poses[1]
-
-
-def test_relations_decide_where_no_program_explains_demonstrations(
-    run: Path, stacks: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    policy = load(run, unexplained=0.9)
-    seen = []
-
-    def control(*inputs: Any) -> torch.Tensor:
-        seen.append(inputs)
-        return torch.zeros(1, 18)
-
-    monkeypatch.setattr(policy.network, "control", control)
-    policy.act(stacks[:1], [FIX], np.random.default_rng(0))
-    ((table, _, targets, destinations),) = seen
-    expected = policy.network.goals.decide(table, torch.ones(1, dtype=torch.int64))
-    assert targets == expected[0]
-    torch.testing.assert_close(destinations, expected[1])
-
-
-def test_what_relations_decide_does_not_depend_on_other_episodes(run: Path, stacks: Any) -> None:
+def test_what_relations_decide_does_not_depend_on_other_episodes(run, stacks):
     policy, region = load(run, unexplained=0.9), "magical/MoveToRegion-Demo-v0"
     shown = np.stack([observations(demonstrate(region, seed=1), "LoRes4A", [0])[0], stacks[0]])
 
-    def act(rows: list[int]) -> list[int]:
+    def act(rows):
         policy.reset(np.ones(len(rows), np.bool_))
         env_ids = [(region, FIX)[row] for row in rows]
         actions = policy.act(shown[rows], env_ids, RolloutRng(env_ids, rows))
@@ -136,7 +98,7 @@ def test_what_relations_decide_does_not_depend_on_other_episodes(run: Path, stac
     assert act([0, 1]) == [*act([0]), *act([1])]
 
 
-def test_a_damaged_belief_is_refused(run: Path) -> None:
+def test_a_damaged_belief_is_refused(run):
     network = load(run).network
     for text, message in (
         (b"?", "expected JSON"),
@@ -151,7 +113,7 @@ def test_a_damaged_belief_is_refused(run: Path) -> None:
             network.belief(0)
 
 
-def test_the_command_prints_beliefs(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_prints_beliefs(run, capsys):
     options = ["--top", "2", "--scenes", "2", "--json"]
     assert main(["explain", str(run), *options]) == 0
     *lines, last = capsys.readouterr().out.splitlines()
@@ -165,9 +127,7 @@ def test_the_command_prints_beliefs(run: Path, capsys: pytest.CaptureFixture[str
     assert any("RobotInside()" in line for line in lines)
 
 
-def test_runs_of_other_algorithms_are_refused(
-    tmp_path: Path, demos: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_runs_of_other_algorithms_are_refused(tmp_path, demos, capsys):
     from magical_baselines.algorithms.bc import BCConfig
 
     train(tiny_runs.tiny(BCConfig, demos=str(demos)), tmp_path / "run")

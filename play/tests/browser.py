@@ -4,12 +4,9 @@ import json
 import os
 import shutil
 import subprocess
-from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
-from typing import Any
 
-from websockets.sync.client import ClientConnection, connect
+from websockets.sync.client import connect
 
 NAMES = ("chromium", "chromium-browser", "google-chrome")
 TIMEOUT = 60.0  # s for an answer
@@ -21,7 +18,7 @@ FLAGS = (
 )  # fmt: skip
 
 
-def find_browser() -> str | None:
+def find_browser():
     """The path of a browser, if one is installed."""
     return next(filter(None, map(shutil.which, NAMES)), None)
 
@@ -29,17 +26,17 @@ def find_browser() -> str | None:
 class Tab:
     """A tab that shares nothing with others."""
 
-    def __init__(self, socket: ClientConnection) -> None:
+    def __init__(self, socket):
         self._socket, self._calls, self._session = socket, 0, ""
-        self.problems: list[str] = []  # what the page reports as errors
-        self.context = self.call("Target.createBrowserContext")["browserContextId"]
-        made = self.call("Target.createTarget", url="about:blank", browserContextId=self.context)
+        self.problems = []  # what the page reports as errors
+        context = self.call("Target.createBrowserContext")["browserContextId"]
+        made = self.call("Target.createTarget", url="about:blank", browserContextId=context)
         found = self.call("Target.attachToTarget", targetId=made["targetId"], flatten=True)
         self._session = found["sessionId"]
         for domain in ("Page", "Runtime", "Log"):
             self.call(f"{domain}.enable")
 
-    def call(self, method: str, **parameters: Any) -> dict[str, Any]:
+    def call(self, method, **parameters):
         """Call one method of the protocol; returns its result."""
         self._calls += 1
         request = {"id": self._calls, "method": method, "params": parameters}
@@ -50,23 +47,21 @@ class Tab:
             if answer.get("method") in ("Runtime.exceptionThrown", "Log.entryAdded"):
                 self.problems.append(json.dumps(answer["params"]))
             if answer.get("id") == self._calls:
-                assert "error" not in answer, answer
-                result: dict[str, Any] = answer["result"]
-                return result
+                return answer["result"]
 
-    def evaluate(self, script: str) -> Any:
+    def evaluate(self, script):
         """The value of a JavaScript expression; promises are awaited."""
         options = {"expression": script, "awaitPromise": True, "returnByValue": True}
         answer = self.call("Runtime.evaluate", **options)
         assert "exceptionDetails" not in answer, answer
         return answer["result"].get("value")
 
-    def wait_for(self, condition: str) -> None:
+    def wait_for(self, condition):
         """Wait until an expression is true in the page."""
         script = f"new Promise(done => {{ const look = () => ({condition}) ? done(true) : "
         assert self.evaluate(script + "setTimeout(look, 20); look(); })")
 
-    def key(self, key: str, *, down: bool) -> None:
+    def key(self, key, *, down):
         """Press a key or let it go."""
         code = {" ": "Space"}.get(key, key if len(key) > 1 else f"Key{key.upper()}")
         event = {"type": "keyDown" if down else "keyUp", "key": key, "code": code}
@@ -74,22 +69,21 @@ class Tab:
             event["text"] = key
         self.call("Input.dispatchKeyEvent", **event)
 
-    def tap(self, key: str) -> None:
-        """Press a key and let it go."""
-        self.key(key, down=True)
-        self.key(key, down=False)
+    def tap(self, *keys):
+        """Press each key and let it go."""
+        for key in keys:
+            self.key(key, down=True)
+            self.key(key, down=False)
 
 
 @contextmanager
-def start_browser(program: str, folder: Path) -> Iterator[Tab]:
+def start_browser(program, folder):
     """A tab of a browser that keeps its files in a folder, ended with the block."""
     command = [program, *FLAGS, f"--user-data-dir={folder}", "--remote-debugging-port=0"]
-    environment = {**os.environ, "HOME": str(folder), "TMPDIR": str(folder)}
-    process = subprocess.Popen(
-        command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
-    )
+    env = {**os.environ, "HOME": str(folder), "TMPDIR": str(folder)}
+    pipes = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
+    process = subprocess.Popen(command, env=env, text=True, **pipes)
     try:
-        assert process.stderr is not None
         line = next(line for line in process.stderr if "DevTools listening on" in line)
         with connect(line.split()[-1], max_size=None, ping_interval=None) as socket:
             yield Tab(socket)

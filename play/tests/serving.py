@@ -2,21 +2,12 @@
 
 import http.client
 import json
-import threading
-from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from pathlib import Path
-from typing import Any
 
 from websockets.exceptions import ConnectionClosed
-from websockets.sync.client import ClientConnection, connect
+from websockets.sync.client import connect
 
-from magical.demos import DatasetWriter
 from magical.envs import EnvId
-from magical_play.policies import Policies
-from magical_play.security import make_guard
-from magical_play.server import PlayServer, listen, make_server
-from magical_play.session import Session
 
 TOKEN = "a-token-of-the-tests"
 TIMEOUT = 60.0  # s
@@ -26,13 +17,11 @@ ENV = EnvId("MoveToRegion", "Demo")
 class RunningServer:
     """A server in a thread of this process."""
 
-    def __init__(self, port: int, session: Session) -> None:
-        self.session = session
-        self.host = f"127.0.0.1:{port}"
+    def __init__(self, port, session):
+        self.session, self.host = session, f"127.0.0.1:{port}"
+        self.origin = f"http://{self.host}"
 
-    def get(
-        self, path: str, method: str = "GET", token: str | None = TOKEN, **headers: str
-    ) -> tuple[int, dict[str, str], bytes]:
+    def get(self, path, method="GET", token=TOKEN, **headers):
         """Send one request; returns status, headers and body. The path is sent as it is."""
         client = http.client.HTTPConnection(self.host, timeout=TIMEOUT)
         target = path if token is None else f"{path}?token={token}"
@@ -43,13 +32,13 @@ class RunningServer:
         client.close()
         return result
 
-    def connect(self, query: str = f"token={TOKEN}", origin: str | None = "") -> ClientConnection:
+    def connect(self, query=f"token={TOKEN}", origin=""):
         """Open the socket; the origin is the server's own unless another is given."""
-        named = f"http://{self.host}" if origin == "" else origin
+        named = self.origin if origin == "" else origin
         return connect(f"ws://{self.host}/socket?{query}", origin=named, proxy=None)
 
     @contextmanager
-    def page(self) -> Iterator["Page"]:
+    def page(self):
         """A page that has the first frame."""
         with self.connect() as socket:
             page = Page(socket)
@@ -60,21 +49,18 @@ class RunningServer:
 class Page:
     """A page's end of the socket, which confirms every frame."""
 
-    def __init__(self, socket: ClientConnection) -> None:
-        self.socket = socket
-        self.held: list[str] = []
-        self.frame: str | bytes = b""
-        self.status: dict[str, Any] = {}
+    def __init__(self, socket):
+        self.socket, self.held, self.frame, self.status = socket, [], b"", {}
 
-    def send(self, **message: Any) -> None:
+    def send(self, **message):
         self.socket.send(json.dumps(message))
 
-    def hold(self, *controls: str) -> None:
+    def hold(self, *controls):
         """Hold these controls and no others."""
         self.held = list(controls)
         self.send(type="keys", held=self.held, seen=0)
 
-    def wait_for(self, condition: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
+    def wait_for(self, condition):
         """The first status of which the condition holds, the present one included."""
         while not self.status or not condition(self.status):
             message = json.loads(self.socket.recv(timeout=TIMEOUT))
@@ -84,24 +70,9 @@ class Page:
         return self.status
 
 
-def close_code(socket: ClientConnection) -> int | None:
+def close_code(socket):
     """The code that the server closes a socket with, whatever it sends before."""
     with suppress(ConnectionClosed):
         while True:
             socket.recv(timeout=TIMEOUT)
     return socket.close_code
-
-
-@contextmanager
-def running(record: Path) -> Iterator[RunningServer]:
-    """A server on a free port of loopback that starts in MoveToRegion."""
-    session = Session(ENV, Policies(), [record], DatasetWriter(record))
-    with listen("127.0.0.1", 0) as listening:
-        server = make_server(PlayServer(make_guard("127.0.0.1", TOKEN), session).app)
-        thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]})
-        thread.start()
-        try:
-            yield RunningServer(listening.getsockname()[1], session)
-        finally:
-            server.should_exit = True
-            thread.join()

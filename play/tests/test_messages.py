@@ -1,7 +1,6 @@
 """What a page may send: every message, nothing else."""
 
 import json
-from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -11,18 +10,15 @@ from magical.envs import EnvId
 from magical.envs.keys import Control
 from magical.envs.seeds import FIRST_EVALUATION_SEED
 from magical_play import messages as m
-from magical_play.messages import MAX_BYTES, MessageError, parse_message
+from magical_play.messages import MessageError, parse_message
 
-ENV = "magical/FindDupe-TestAll-v0"
-VALID: dict[str, tuple[dict[str, Any], object]] = {
+START = {"env_id": "magical/FindDupe-TestAll-LoRes4E-v0", "seed": 3, "policy": 1}
+VALID = {
     "keys": (
         {"held": ["grip", "left"], "seen": 7},
         m.Keys(frozenset({Control.LEFT, Control.GRIP}), 7),
     ),
-    "start": (
-        {"env_id": ENV, "seed": 3, "policy": 1},
-        m.Start(EnvId("FindDupe", "TestAll"), 3, 1),
-    ),
+    "start": (START, m.Start(EnvId("FindDupe", "TestAll"), 3, 1)),
     "press": ({"button": "hand_back"}, m.Press("hand_back")),
     "show": ({"view": "both", "speed": 0.5}, m.Show("both", 0.5)),
     "keep": ({"demonstrator": " Ada\u3000\u200d\U0001f52c "}, m.Keep("Ada\u3000\u200d\U0001f52c")),
@@ -32,14 +28,9 @@ VALID: dict[str, tuple[dict[str, Any], object]] = {
 
 
 @pytest.mark.parametrize("kind", VALID)
-def test_messages_are_parsed(kind: str) -> None:
+def test_messages_are_parsed(kind):
     fields, message = VALID[kind]
     assert parse_message(json.dumps({"type": kind, **fields})) == message
-
-
-def test_presets_are_left_out_and_seeds_and_policies_may_be_missing() -> None:
-    fields = {"type": "start", "env_id": "FindDupe-Demo-LoRes4E-v0", "seed": None, "policy": None}
-    assert parse_message(json.dumps(fields)) == m.Start(EnvId("FindDupe", "Demo"), None, None)
 
 
 @pytest.mark.parametrize(
@@ -47,42 +38,26 @@ def test_presets_are_left_out_and_seeds_and_policies_may_be_missing() -> None:
     [
         {"type": "keys", "held": ["up"], "seen": 0},
         {"type": "keys", "held": ["left"] * 6, "seen": 0},
-        {"type": "keys", "held": [["left"]], "seen": 0},
         {"type": "keys", "held": [], "seen": -1},
-        {"type": "keys", "held": [], "seen": True},
-        {"type": "keys", "held": [], "seen": 1e300},
         {"type": "keys", "held": []},
-        {"type": "start", "env_id": "magical/MoveToMoon-Demo-v0", "seed": 0, "policy": None},
-        {"type": "start", "env_id": ["magical/FindDupe-Demo-v0"], "seed": 0, "policy": None},
-        {"type": "start", "env_id": ENV, "seed": FIRST_EVALUATION_SEED, "policy": None},
-        {"type": "start", "env_id": ENV, "seed": "0", "policy": None},
-        {"type": "start", "env_id": ENV, "seed": 0, "policy": -1},
-        {"type": "start", "env_id": ENV, "seed": 0},
+        {"type": "start", **START, "env_id": "magical/MoveToMoon-Demo-v0"},
+        {"type": "start", **START, "seed": FIRST_EVALUATION_SEED},
+        {"type": "start", **START, "policy": -1},
         {"type": "press", "button": "take_question"},
         {"type": "press", "button": "pause", "seconds": 3},
         {"type": "show", "view": "side", "speed": 1},
+        {"type": "show", "view": "ego", "speed": 0},
         {"type": "keep", "demonstrator": "  "},
         {"type": "keep", "demonstrator": "a" * 101},
         {"type": "keep", "demonstrator": "a\nb"},
-        {"type": "keep", "demonstrator": "\ud800"},
         {"type": "watch", "dataset": "../demos", "episode": 0},
         {"type": "seek", "step": 10**30},
-        {"type": "show", "view": "ego", "speed": 0},
-        {"type": ["pause"]},
         {"type": "quit"},
-        {},
     ],
 )
-def test_other_messages_are_refused(fields: dict[str, Any]) -> None:
+def test_other_messages_are_refused(fields):
     with pytest.raises(MessageError):
         parse_message(json.dumps(fields))
-
-
-def test_a_long_message_is_refused_before_it_is_parsed() -> None:
-    text = json.dumps({"type": "seek", "step": 0})
-    assert parse_message(text + " " * (MAX_BYTES - len(text))) == m.Seek(0)
-    with pytest.raises(MessageError, match="at most 1024 bytes"):
-        parse_message(text + " " * (MAX_BYTES - len(text) + 1))
 
 
 PLAIN = st.recursive(
@@ -101,9 +76,10 @@ PLAIN = st.recursive(
         lambda drawn: json.dumps({**VALID[drawn[0]][0], **drawn[1], "type": drawn[0]})
     )
 )
-def test_any_text_is_a_message_or_refused_in_a_line(text: str) -> None:
+def test_any_text_is_a_message_or_refused_in_a_line(text):
+    found = ""
     try:
-        accepted, problem = parse_message(text), ""
+        parse_message(text)
     except MessageError as error:
-        accepted, problem = None, str(error)
-    assert isinstance(accepted, m.Message) or 0 < len(problem) < 1000
+        found = str(error)
+    assert len(found) < 1000

@@ -76,15 +76,10 @@ def change_entries(folder: Path, change: Callable[[str, dict[str, Entry]], None]
 def made(repository: Path) -> dict[str, list[list[str]]]:
     """The rows of every generated table, by its name."""
     assert pages.main([], repository) == 0
-    found = {
+    return {
         path.stem: list(csv.reader(path.read_text(encoding="utf-8").splitlines()))
         for path in repository.glob("studies/*/tables/*.csv")
     }
-    for study, name in pages.SHOWN.items():
-        page = (repository / "studies" / study / "README.md").read_text()
-        section = page.partition(f"<!-- {name} -->\n")[2].partition("<!-- end -->")[0]
-        found[name] = list(csv.reader(pages.as_csv(section).splitlines()))
-    return found
 
 
 def starting(rows: list[list[str]], start: str) -> list[list[str]]:

@@ -28,7 +28,7 @@ NOTE = (
     "(../../specification.md#9-where-the-published-code-scores-differently), all others by the "
     "[protocol](../../protocol.md). The best entries are those with the highest TestAll score in "
     "this task on the [leaderboard](../../leaderboard.md), with a prior made for the benchmark "
-    "(class B) and without; the expert sees the true state."
+    "(track B) and without; the expert sees the true state."
 )
 
 
@@ -111,7 +111,7 @@ def index() -> str:
         f"# Environments\n\n{len(TASKS)} tasks, each with a Demo variant to learn from and test "
         f"variants that change certain aspects of it: {count} environments. An id is "
         "`magical/<Task>-<Variant>[-<Preset>]-v0`; a preset names [what is observed]"
-        "(../observations.md).\n\n"
+        "(../environments.md).\n\n"
         f'<div class="tasks">\n{cards}\n</div>\n\n{table(header, rows)}\n'
     )
 

@@ -135,8 +135,8 @@ def configuration_pages() -> dict[str, str]:
             "# Configuration\n\nEvery setting is an option of `magical train ALGORITHM`, a keyword "
             "of `preset` and `replace` in Python, and, except `tasks`, `seed` and `demos`, a key "
             "of `settings` in plans. In the tables, what differs from the preset `paper` is bold; "
-            "the last column has what the appendix states. [Presets](../presets.md) says what they "
-            "are for.\n\n"
+            "the last column has what the appendix states ([what the presets are for]"
+            "(../baselines.md#presets)).\n\n"
             f"{readme_tables.table(('Algorithm', ''), rows)}\n"
         )
     }

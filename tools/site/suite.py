@@ -32,7 +32,7 @@ def page(scores: Mapping[str, Mapping[str, str]]) -> str:
     """The page: the held-out tasks, then the training tasks."""
     return (
         "# The suite of generated tasks\n\nDemo scenes with instructions and [programs]"
-        "(../programs.md). The scores are means of 20 rollouts of the [scripted expert]"
+        "(../goals.md). The scores are means of 20 rollouts of the [scripted expert]"
         "(../studies/generated_tasks/README.md). Every task has all variants: "
         "`magical/Generated0004-TestAll-v0`.\n\n"
         f"## Held out: {len(HELD_OUT)} tasks\n\n{_table(HELD_OUT, scores)}\n\n"

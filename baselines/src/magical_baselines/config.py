@@ -314,7 +314,7 @@ class PaperNetworkConfig(NetworkConfig):
     conventions: Literal["appendix", "published"] = option(
         "appendix",
         "whether images, initialisation and batch norm follow the appendix or the published code "
-        "(docs/presets.md)",
+        "(docs/baselines.md)",
     )
 
     @property

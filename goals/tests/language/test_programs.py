@@ -16,7 +16,7 @@ from magical.tasks import TASKS
 from magical_goals.language import VOCABULARY, Goal, parse, problem, progress
 from magical_goals.language.expressions import Place, Selection
 from magical_goals.language.goals import UNFINISHED, Lined, States, ways_at_start
-from magical_goals.language.parsing import bits_of_part, simple_expressions
+from magical_goals.language.parsing import bits_of_part
 from magical_goals.language.planner import program_planner
 from magical_goals.language.programs import PROGRAMS, dense, program_of
 from tests.tasks.conftest import move
@@ -51,11 +51,11 @@ SCENE = Scene(
 )
 
 
-def final(places: dict[int, tuple[float, float]]) -> Poses:
+def final(places):
     return move(SCENE, places)
 
 
-def random_bodies(scene: Scene, rng: np.random.Generator, count: int = 20) -> np.ndarray:
+def random_bodies(scene, rng, count=20):
     """Poses (count, 5 + N, 3) with some of the blocks, and the robot, elsewhere."""
     bodies = np.repeat(Poses.at_rest(scene).bodies[None], count, axis=0)
     for state in bodies:
@@ -68,7 +68,7 @@ def random_bodies(scene: Scene, rng: np.random.Generator, count: int = 20) -> np
 
 
 @pytest.mark.parametrize("name", PROGRAMS)
-def test_the_papers_tasks_score_as_their_programs(name: str) -> None:
+def test_the_papers_tasks_score_as_their_programs(name):
     task, program, rng, scores = TASKS[name], PROGRAMS[name], np.random.default_rng(0), set()
     for variant in task.variants:
         for _ in range(6):
@@ -79,14 +79,6 @@ def test_the_papers_tasks_score_as_their_programs(name: str) -> None:
                 assert found == pytest.approx(program.score(scene, Poses(bodies)), abs=1e-15)
                 scores.add(found)
     assert len(scores) > 1
-
-
-@pytest.mark.parametrize("name", PROGRAMS)
-def test_programs_of_the_paper_are_valid_text_and_have_a_way_to_go(name: str) -> None:
-    program, demo = PROGRAMS[name], TASKS[name].demo
-    assert parse(repr(program)) == program
-    assert problem(program, demo) == ""
-    assert dense(TASKS[name])(demo, Poses.at_rest(demo).bodies) < -1.0
 
 
 @pytest.mark.parametrize(
@@ -112,7 +104,7 @@ def test_programs_of_the_paper_are_valid_text_and_have_a_way_to_go(name: str) ->
         ("Or(WithColour('green'), WithShape('square'))", {1, 2}),
     ],
 )
-def test_selections(selection: str, blocks: set[int]) -> None:
+def test_selections(selection, blocks):
     goal = parse(f"Lined({selection})")
     assert isinstance(goal, Lined)
     assert goal.selection.blocks(SCENE) == blocks
@@ -142,22 +134,11 @@ INSIDE, OUTSIDE = (0.6, 0.6), (0.0, 0.5)
         ("Lined(WithColour('red'))", {0: (0.0, 0.0), 1: (0.41, 0.0)}, 1.0),
     ],
 )
-def test_scores(goal: str, places: dict[int, tuple[float, float]], expected: float) -> None:
+def test_scores(goal, places, expected):
     program = parse(goal)
     assert program.score(SCENE, final(places)) == pytest.approx(expected)
     ways = program.ways(States(SCENE, final(places).bodies[None]))[0]
     assert (~ways.any(axis=1)).any() == (expected == 1.0)
-
-
-def test_progress_rises_to_zero_and_is_a_function_of_the_state() -> None:
-    goal = parse("Each(WithColour('green'), InRegion())")
-    values = [
-        progress(goal, SCENE, final({2: place}))
-        for place in ((0.0, 0.0), (0.2, 0.2), (0.34, 0.34), INSIDE)
-    ]
-    assert values == sorted(values)
-    assert len(set(values)) == 4
-    assert values[-1] == 0.0
 
 
 @pytest.mark.parametrize(
@@ -174,9 +155,7 @@ def test_progress_rises_to_zero_and_is_a_function_of_the_state() -> None:
         ),
     ],
 )
-def test_progress_is_that_of_the_best_way(
-    goal: str, places: dict[int, tuple[float, float]], block: int, way: float
-) -> None:
+def test_progress_is_that_of_the_best_way(goal, places, block, way):
     program, poses = parse(goal), final(places)
     x, y, _ = poses.robot
     between_fingers = x, y + ROBOT_RADIUS + BLOCK_SIZE
@@ -201,7 +180,7 @@ def test_progress_is_that_of_the_best_way(
         ),
     ],
 )
-def test_instructions_name_the_blocks(goal: str, words: str) -> None:
+def test_instructions_name_the_blocks(goal, words):
     assert parse(goal).instruction(SCENE) == words
 
 
@@ -221,7 +200,7 @@ def test_instructions_name_the_blocks(goal: str, words: str) -> None:
         ("Lined(AllBlocks())" + " " * 5000, "expected at most 5000 characters"),
     ],
 )
-def test_text_that_is_no_program_is_refused(text: str, message: str) -> None:
+def test_text_that_is_no_program_is_refused(text, message):
     with pytest.raises(InvalidProgramError, match=message):
         parse(text)
 
@@ -235,11 +214,11 @@ def test_text_that_is_no_program_is_refused(text: str, message: str) -> None:
         ("Each(Enclosed(), InRegion())", "is solved at the start"),
     ],
 )
-def test_what_no_episode_can_have_as_goal_is_a_problem(text: str, message: str) -> None:
+def test_what_no_episode_can_have_as_goal_is_a_problem(text, message):
     assert message in problem(parse(text), SCENE)
 
 
-def test_a_cluster_that_another_colours_block_lies_in_is_not_done() -> None:
+def test_a_cluster_that_another_colours_block_lies_in_is_not_done():
     red, blue, green = Colour.RED, Colour.BLUE, Colour.GREEN
     apart = [(green, 0.9, 0.9), (green, -0.9, 0.9)]
     places = [(blue, 0.0, 0.4), (blue, 0.0, 0.1), (red, 0.1, 0.25), *apart]
@@ -250,7 +229,7 @@ def test_a_cluster_that_another_colours_block_lies_in_is_not_done() -> None:
 
 
 @pytest.mark.parametrize("text", GOALS)
-def test_nothing_is_left_to_do_exactly_where_the_score_is_one(text: str) -> None:
+def test_nothing_is_left_to_do_exactly_where_the_score_is_one(text):
     scene, goal = TASKS["FixColour"].demo, parse(text)
     bodies = random_bodies(scene, np.random.default_rng(0), 60)
     states = States(scene, bodies)
@@ -261,12 +240,7 @@ def test_nothing_is_left_to_do_exactly_where_the_score_is_one(text: str) -> None
     np.testing.assert_allclose(states.work(goal), alone)
 
 
-@pytest.mark.parametrize("text", GOALS)
-def test_without_blocks_every_goal_is_a_problem(text: str) -> None:
-    assert problem(parse(text), Scene(Pose(0.0, 0.0, 0.0), (), ()))
-
-
-def test_every_choice_of_the_prior_is_uniform() -> None:
+def test_every_choice_of_the_prior_is_uniform():
     program = parse("Each(WithColour('red'), InRegion())")
     kinds = (Goal, Selection, Place)
     counts = [sum(issubclass(other, kind) for other in VOCABULARY.values()) for kind in kinds]
@@ -274,14 +248,8 @@ def test_every_choice_of_the_prior_is_uniform() -> None:
     assert found == pytest.approx(math.log2(math.prod(counts) * 4))  # of four colours
 
 
-def test_simple_expressions_have_every_word() -> None:
-    places = list(map(repr, simple_expressions(Place)))
-    assert len(places) == len(set(places)) == 3 + 4 + 4
-    assert "AtWall('left')" in places
-
-
 @pytest.mark.parametrize("task", ["MatchRegions", "Generated0033"])
-def test_dense_rewards_sum_to_the_increase_of_progress(task: str) -> None:
+def test_dense_rewards_sum_to_the_increase_of_progress(task):
     env = MagicalEnv(task, "Demo", reward="dense")
     env.reset(seed=0)
     before = env.state()
@@ -292,40 +260,19 @@ def test_dense_rewards_sum_to_the_increase_of_progress(task: str) -> None:
     assert any(rewards)
 
 
-def test_dense_reward_of_pushing() -> None:
-    env = MagicalEnv("MoveToCorner", "Demo", reward="dense")
-    behind = Scene(Pose(0.5, -0.6, 0.7), (Block(Shape.CIRCLE, Colour.RED, Pose(0.2, -0.3, 0)),))
-    env.reset(seed=0, options={"scene": behind})
-    assert sum(env.step(1)[1] for _ in range(8)) > 0.3
-
-
-def test_dense_reward_of_a_block_that_arrives_is_positive_though_the_next_one_is_far() -> None:
-    program, scene = PROGRAMS["MatchRegions"], TASKS["MatchRegions"].demo
-    bodies = Poses.at_rest(scene).bodies
-    near, far = (FIRST_BLOCK + block for block in sorted(program.moved(scene))[:2])
-    (region,) = scene.regions
-    x, gained = region.x + region.width / 2, []
-    for y in (region.y + 0.01, region.y - 0.01):
-        bodies[near, :2] = x, y
-        bodies[ROBOT] = x, y + ROBOT_RADIUS + BLOCK_SIZE, math.pi
-        gained.append(progress(program, scene, Poses(bodies.copy())))
-    assert math.dist(bodies[far, :2], bodies[near, :2]) > 1.0
-    assert gained[1] > gained[0] + 0.9 * UNFINISHED
-
-
-def test_a_task_without_a_program_has_no_dense_reward() -> None:
+def test_a_task_without_a_program_has_no_dense_reward():
     with pytest.raises(UnknownNameError, match="PushThere has no program; expected one of: "):
         dense(replace(TASKS["MoveToCorner"], name="PushThere"))
 
 
 @pytest.mark.parametrize("name", ["FindDupe", "Generated0033"])
-def test_the_experts_of_programs_solve_them(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_experts_of_programs_solve_them(name, monkeypatch):
     planner = program_planner(program_of(name))
     monkeypatch.setattr("magical.experts.expert.get_planner", lambda task: planner)
     assert rollout(name, "Demo", 0).score == 1.0
 
 
-def test_a_program_that_no_expert_knows_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_program_that_no_expert_knows_is_named(monkeypatch):
     planner = program_planner(parse("Together(Clustered('colour'), Clustered('shape'))"))
     monkeypatch.setattr("magical.experts.expert.get_planner", lambda task: planner)
     with pytest.raises(NoExpertError, match="no expert for Clustered"):

@@ -16,7 +16,7 @@ from magical_goals.objects.parser import parse_frames
 TASK = "MoveToRegion"
 
 
-def test_steps_of_a_watched_policy_are_not_sampled() -> None:
+def test_steps_of_a_watched_policy_are_not_sampled():
     trajectory = demonstrate(EnvId(TASK, "Demo"), seed=0)
     actors = np.full(len(trajectory), Actor.POLICY)
     actors[:12] = Actor.HUMAN
@@ -31,7 +31,7 @@ def test_steps_of_a_watched_policy_are_not_sampled() -> None:
         parse_demonstrations(((TASK, watched),), parse_frames)
 
 
-def test_standing_still_is_learned_where_no_block_is_left_to_move() -> None:
+def test_standing_still_is_learned_where_no_block_is_left_to_move():
     trajectory = demonstrate(EnvId(TASK, "Demo"), seed=0)  # stands still in the region at last
     data = ObjectData(parse_demonstrations(((TASK, trajectory),), parse_frames), [TASK])
     rows = data.sample_eventful(1000, np.random.default_rng(0))

@@ -1,6 +1,5 @@
 """The robot's motion as demonstrations show it."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,27 +13,21 @@ from magical_goals.objects.parser import ParsedFrames, parse_frames
 from magical_goals.planning.motion import (
     PRIOR,
     fit_motion,
-    from_robot,
     robot_steps,
-    to_robot,
 )
 
 
-def demonstrations(
-    task: str, seeds: Sequence[int], perturb: float = 0.0
-) -> list[ParsedDemonstration]:
+def demonstrations(task, seeds, perturb=0.0):
     shown = [demonstrate(f"magical/{task}-Demo-v0", seed=s, perturb=perturb) for s in seeds]
     return parse_demonstrations(tuple((task, each) for each in shown), parse_frames)
 
 
 @pytest.fixture(scope="module")
-def corner() -> list[ParsedDemonstration]:
+def corner():
     return demonstrations("MoveToCorner", (0, 1))
 
 
-def test_free_motion_of_another_demonstration_is_predicted(
-    corner: list[ParsedDemonstration],
-) -> None:
+def test_free_motion_of_another_demonstration_is_predicted(corner):
     motion = fit_motion(corner)
     ((_, trajectory, parsed),) = demonstrations("MoveToRegion", (2,))
     steps = robot_steps(parsed.robot[:-1], parsed.robot[1:])
@@ -46,32 +39,25 @@ def test_free_motion_of_another_demonstration_is_predicted(
     assert (np.median(errors, axis=0) < (0.005, 0.03)).all()
 
 
-def test_a_block_slows_the_robot_down(corner: list[ParsedDemonstration]) -> None:
+def test_a_block_slows_the_robot_down(corner):
     free, held = fit_motion(corner).speeds
     assert (held[1:] < free[1:]).all()
 
 
-def test_blocks_are_grasped_where_they_touch_the_robot(corner: list[ParsedDemonstration]) -> None:
+def test_blocks_are_grasped_where_they_touch_the_robot(corner):
     aside, nearest, farthest = fit_motion(corner).grasp
     assert aside < BLOCK_SIZE
     assert ROBOT_RADIUS < nearest <= farthest < ROBOT_RADIUS + 2 * BLOCK_SIZE
 
 
-def test_random_actions_are_no_grasps() -> None:
-    perturbed = demonstrations("FindDupe", range(4), perturb=0.2)
-    aside, nearest, _ = fit_motion(perturbed).grasp
-    assert aside < BLOCK_SIZE
-    assert nearest > ROBOT_RADIUS
-
-
-def test_what_was_never_demonstrated_is_as_in_other_tasks() -> None:
+def test_what_was_never_demonstrated_is_as_in_other_tasks():
     motion = fit_motion(demonstrations("MoveToRegion", (0, 1)))
     for shown, prior in ((motion.drive, PRIOR.drive), (motion.turn, PRIOR.turn)):
         np.testing.assert_allclose(shown[1], prior[1])  # without blocks
         assert (shown[0] != prior[0]).all()
 
 
-def test_steps_against_a_wall_teach_nothing(corner: list[ParsedDemonstration]) -> None:
+def test_steps_against_a_wall_teach_nothing(corner):
     task, trajectory, parsed = corner[0]
     recorded = (*parsed, trajectory.bodies)
     still = [np.concatenate([each, np.repeat(each[-1:], 60, axis=0)]) for each in recorded]
@@ -81,9 +67,8 @@ def test_steps_against_a_wall_teach_nothing(corner: list[ParsedDemonstration]) -
     np.testing.assert_allclose(motion.speeds, fit_motion(corner).speeds, rtol=0.1)
 
 
-def test_points_are_seen_from_the_robot_and_back() -> None:
-    rng = np.random.default_rng(0)
-    poses, points = rng.normal(size=(5, 3)), rng.normal(size=(5, 2))
-    np.testing.assert_allclose(from_robot(poses, to_robot(poses, points)), points)
-    facing_left = np.array([0.0, 0.0, np.pi / 2])
-    np.testing.assert_allclose(to_robot(facing_left, np.array([-1.0, 0.0])), (0, 1), atol=1e-12)
+def test_random_actions_are_no_grasps():
+    perturbed = demonstrations("FindDupe", range(4), perturb=0.2)
+    aside, nearest, _ = fit_motion(perturbed).grasp
+    assert aside < BLOCK_SIZE
+    assert nearest > ROBOT_RADIUS

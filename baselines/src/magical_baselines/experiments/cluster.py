@@ -1,4 +1,4 @@
-"""Runs as tasks of a Ray cluster (docs/how-to/cluster.md); needs the extra `ray`."""
+"""Runs as tasks of a Ray cluster (docs/experiments.md); needs the extra `ray`."""
 
 import io
 import shutil
