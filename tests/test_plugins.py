@@ -34,10 +34,10 @@ THINGS = Registry("thing", Task, GROUP)
 
 @pytest.fixture(autouse=True)
 def _forget() -> Iterator[None]:
-    for found in (plugins.plugins, plugins.distributions):
+    for found in (plugins._entries, plugins._distributions):
         found.cache_clear()
     yield
-    for found in (plugins.plugins, plugins.distributions):
+    for found in (plugins._entries, plugins._distributions):
         found.cache_clear()
 
 

@@ -20,7 +20,7 @@ from magical.grouping import group_by
 from magical.observe import PRESETS, PixelSpec
 from magical.report.found import Found, Result, search_results
 from magical.report.leaderboard import ALL_TASKS, Standing, check_entries, make_boards
-from magical.runs.sources import DEMONSTRATIONS, INTERACTION, track_of
+from magical.runs import DEMONSTRATIONS, INTERACTION, track_of
 from magical.tasks import TASKS, get_task
 from magical_goals.language.generated import SUITE, task_name
 from magical_goals.language.programs import program_of

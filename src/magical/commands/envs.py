@@ -3,9 +3,6 @@
 import argparse
 
 from magical.commands._common import add_json, print_json, print_table
-from magical.envs import all_env_ids
-from magical.observe import PRESETS
-from magical.tasks import importable_tasks
 
 HELP = "list tasks, variants and horizons"
 
@@ -17,12 +14,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print the registry."""
-    ids = all_env_ids(presets=True)
-    tasks = importable_tasks()
+    from magical.envs import all_env_ids
+    from magical.observe import PRESETS
+    from magical.tasks import importable_tasks
+
+    ids, tasks = all_env_ids(presets=True), importable_tasks()
     rows = [(task.name, task.horizon, " ".join(task.variants)) for task in tasks]
     print_table(("task", "horizon", "variants"), rows)
-    print()
-    print("environment ids: magical/<task>-<variant>[-<preset>]-v0")
+    print("\nenvironment ids: magical/<task>-<variant>[-<preset>]-v0")
     print(f"presets: {' '.join(PRESETS)}")
     print(f"{len(all_env_ids())} environments, {len(ids)} ids, with and without presets")
     described = {

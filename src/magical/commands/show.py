@@ -4,8 +4,6 @@ import argparse
 from pathlib import Path
 
 from magical.commands._common import UsageError, add_json, add_out, add_seed, print_json
-from magical.envs import parse_env_id
-from magical.files import write_atomically
 
 HELP = "write an image of a scene"
 
@@ -23,7 +21,9 @@ def run(args: argparse.Namespace) -> int:
     import numpy as np
     from PIL import Image
 
+    from magical.envs import parse_env_id
     from magical.envs.env import MagicalEnv
+    from magical.files import write_atomically
 
     env_id = parse_env_id(args.env_id)
     out = args.out or Path(f"{env_id.replace('/', '-')}.png")
@@ -32,8 +32,7 @@ def run(args: argparse.Namespace) -> int:
     env = MagicalEnv(env_id.task, env_id.variant, render_mode="rgb_array")
     env.reset(seed=args.seed)
     with write_atomically(out) as file:
-        Image.fromarray(np.asarray(env.render(), dtype=np.uint8)).save(file, format="PNG")
-    env.close()
+        Image.fromarray(np.asarray(env.render())).save(file, format="PNG")
     print(f"wrote {out}")
     print_json(args, {"env_id": env_id, "seed": args.seed, "out": str(out)})
     return 0
