@@ -22,7 +22,7 @@ from magical.commands._common import print_table
 from magical.errors import PlacementError, UnknownNameError
 from magical.extras import EXTRAS
 
-COMMANDS = cli.find_commands()
+COMMANDS = cli.find_commands()  # their help, by name
 
 
 @pytest.fixture
@@ -41,7 +41,7 @@ def fail_with(monkeypatch: pytest.MonkeyPatch) -> Callable[[BaseException], int]
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_explains_itself(name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert COMMANDS[name].HELP
+    assert COMMANDS[name]
     assert cli.main([name, "--help"]) == 0
     assert capsys.readouterr().out.startswith(f"usage: magical {name}")
 

@@ -1,21 +1,19 @@
 """The `magical` command.
 
-A command is a module with `HELP`, `configure(parser)` and `run(args)`: a file in
-`magical/commands/`, or an entry point of another distribution. Exit status: 0 for success,
-1 for a failed check or an error, 2 for wrong usage, 130 for an interruption.
+A command is a module with `configure(parser)` and `run(args)`, in `magical/commands/`, or with
+`HELP` as well an entry point of another distribution. Exit status: 0 for success, 1 for a failed
+check or an error, 2 for wrong usage, 130 for an interruption.
 """
 
 import argparse
 import importlib
 import io
 import os
-import pkgutil
 import signal
 import sys
 import warnings
 from collections.abc import Sequence
 from contextlib import suppress
-from types import ModuleType
 from typing import Any, NoReturn
 
 from magical import __version__, commands
@@ -52,7 +50,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         with warnings.catch_warnings():
             warnings.showwarning = _show_warning
-            words = _import_modules(argv) or ["--help"]
+            # First, because a module may register tasks and algorithms that the others can name.
+            found, words = _import_parser().parse_known_args(argv)
+            for module in found.imports:
+                import_tasks(module)
+            words = words or ["--help"]
             arguments = build_parser(words[0]).parse_args(words)
             status = int(arguments.run(arguments))
         print(end="", flush=True)  # there may be no standard output to flush
@@ -79,19 +81,45 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def build_parser(command: str = "") -> argparse.ArgumentParser:
-    """The parser of the whole command line, or of one command if it is known."""
-    parser = _Parser(
-        prog="magical", description="The MAGICAL benchmark for robust imitation learning."
-    )
+    """The parser of the whole command line, or of one command if it is known.
+
+    Raises `MissingDependencyError` for a command of a distribution that is not installed.
+    """
+    names = [command] if command in (*commands.HELP, *plugins(GROUP)) else find_commands()
+    if command in COMPANIONS and command not in names:
+        distribution = COMPANIONS[command]
+        raise MissingDependencyError(
+            f"magical {command}: this command is of {distribution}, which is not installed: pip "
+            f"install {distribution}; in a clone of the repository: pip install "
+            f"./{distribution.removeprefix('magical-')}"
+        )
+    description = "The MAGICAL benchmark for robust imitation learning."
+    parser = _Parser(prog="magical", description=description, parents=[_import_parser()])
     parser.add_argument("--version", action="version", version=f"magical {__version__}")
-    _add_import(parser)
     subparsers = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for name, module in find_commands(command).items():
-        sub = subparsers.add_parser(name, help=module.HELP, description=module.__doc__)
+    for name in names:
+        sub = subparsers.add_parser(name, help=_help(name))
         if command in ("", name):
+            module = _module(name)
             module.configure(sub)
+            sub.description = module.__doc__
             sub.set_defaults(run=module.run)
     return parser
+
+
+def find_commands() -> dict[str, str]:
+    """The help of every command in a line, by name, alphabetically."""
+    return {name: _help(name) for name in sorted({*commands.HELP, *plugins(GROUP)})}
+
+
+def _help(name: str) -> str:
+    return commands.HELP.get(name) or str(_module(name).HELP)
+
+
+def _module(name: str) -> Any:
+    if name in commands.HELP:
+        return importlib.import_module(f"{commands.__name__}.{name}")
+    return load_plugin(GROUP, name)
 
 
 class _Parser(argparse.ArgumentParser):
@@ -108,49 +136,15 @@ class _Parser(argparse.ArgumentParser):
         self.exit(USAGE, f"error: {message}; see {self.prog} --help\n")
 
 
-def _import_modules(argv: Sequence[str] | None) -> list[str]:
-    """Import what `--import` names, anywhere in the arguments, and return the other arguments.
-
-    This comes first because a module may register tasks and algorithms that the others can name.
-    """
+def _import_parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="magical", add_help=False)
-    _add_import(parser)
-    found, rest = parser.parse_known_args(argv)
-    for module in found.imports:
-        import_tasks(module)
-    return rest
-
-
-def _add_import(parser: argparse.ArgumentParser) -> None:
+    several: dict[str, Any] = {"action": "append", "default": []}
     meaning = (
         "with any command: first import a module or a .py file, such as one that registers a "
         "task; may be repeated"
     )
-    parser.add_argument(
-        "--import", dest="imports", action="append", default=[], metavar="MODULE", help=meaning
-    )
-
-
-def find_commands(command: str = "") -> dict[str, ModuleType]:
-    """Every command's module by name, alphabetically, or only that of one if it is known.
-
-    Raises `MissingDependencyError` for a command of a distribution that is not installed.
-    """
-    own = [module.name for module in pkgutil.iter_modules(commands.__path__)]
-    names = sorted({*plugins(GROUP), *(name for name in own if not name.startswith("_"))})
-    if command in COMPANIONS and command not in names:
-        distribution = COMPANIONS[command]
-        raise MissingDependencyError(
-            f"magical {command}: this command is of {distribution}, which is not installed: pip "
-            f"install {distribution}; in a clone of the repository: pip install "
-            f"./{distribution.removeprefix('magical-')}"
-        )
-    return {
-        name: importlib.import_module(f"{commands.__name__}.{name}")
-        if name in own
-        else load_plugin(GROUP, name)
-        for name in ([command] if command in names else names)
-    }
+    parser.add_argument("--import", dest="imports", metavar="MODULE", help=meaning, **several)
+    return parser
 
 
 def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:

@@ -3,21 +3,16 @@
 import argparse
 
 from magical.commands._common import add_json, print_json, print_table
-
-HELP = "list tasks, variants and horizons"
+from magical.envs import all_env_ids
+from magical.observe import PRESETS
+from magical.tasks import importable_tasks
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Describe the command's arguments."""
     add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the registry."""
-    from magical.envs import all_env_ids
-    from magical.observe import PRESETS
-    from magical.tasks import importable_tasks
-
     ids, tasks = all_env_ids(presets=True), importable_tasks()
     rows = [(task.name, task.horizon, " ".join(task.variants)) for task in tasks]
     print_table(("task", "horizon", "variants"), rows)

@@ -10,22 +10,36 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from statistics import fmean, pstdev
-from typing import TYPE_CHECKING
 
 from magical.commands import _common as common
 from magical.errors import MagicalError
+from magical.evaluation import (
+    Entry,
+    Policy,
+    Record,
+    RolloutScore,
+    by_variant,
+    environments,
+    load_policy,
+    read_entry,
+    summarise,
+)
+from magical.evaluation.entry import record_of
+from magical.evaluation.noise import MAX_NOISE
+from magical.evaluation.protocol import NUDGE, Evaluation
+from magical.evaluation.rollouts import roll_out
+from magical.evaluation.statistics import gap_weights, over_rollouts, rollout_mean
 from magical.messages import decimals, quoted
+from magical.processes import checked_workers
+from magical.progress import ProgressBar
+from magical.report.leaderboard import faults
+from magical.runs import is_run
 
-if TYPE_CHECKING:
-    from magical.evaluation import Entry, Policy, Record, RolloutScore
-
-HELP = "score a policy on the test variants"
 # Options that are recorded in the entry.
 STATED = ("method", "leaderboard", "learned_from", "training_seed", "test_evaluations")
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Describe the command's arguments."""
     meaning = (
         "a run folder, random, noop, expert, a plug-in's name, LOADER:PATH, module:name or "
         "file.py:name"
@@ -43,7 +57,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "shift initial poses randomly by up to X units and radians, seeded by the rollout's seed; "
         "1e-9 averages over effects of rounding"
     )
-    common.add_count(parser, "--noise", meaning, least=0, most=1e-4, kind=float, metavar="X")
+    common.add_count(parser, "--noise", meaning, least=0, most=MAX_NOISE, kind=float)
     common.add_seed(parser, "which set of fixed seeds to use")
     meaning = "observation preset (default: the policy's own, or LoRes4E)"
     parser.add_argument("--observation", metavar="PRESET", help=meaning)
@@ -68,13 +82,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Evaluate, print, write."""
-    from magical.evaluation import Entry, environments, load_policy, summarise
-    from magical.evaluation.protocol import NUDGE, Evaluation
-    from magical.evaluation.rollouts import roll_out
-    from magical.processes import checked_workers
-    from magical.progress import ProgressBar
-
     for option in STATED:
         value = getattr(args, option)
         if not args.out and value is not None and value is not False:
@@ -98,12 +105,9 @@ def run(args: argparse.Namespace) -> int:
     if args.out:
         method = args.method or Path(args.policy).absolute().name  # also of "."
         entry = Entry.of(policy, evaluation, method=method, record=_record(args, policy))
-        if args.leaderboard:
-            from magical.report.leaderboard import faults
-
-            if why := faults(entry):
-                what = "--leaderboard: the entry would not be ranked"
-                raise common.UsageError(f"{what}: {'; '.join(why)}")
+        if args.leaderboard and (why := faults(entry)):
+            what = "--leaderboard: the entry would not be ranked"
+            raise common.UsageError(f"{what}: {'; '.join(why)}")
         _check_folder(args, entry)
     done, planned = getattr(policy, "updates", None) or (0, 0)
     if done < planned:
@@ -123,10 +127,8 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _record(args: argparse.Namespace, policy: "Policy") -> "Record":
+def _record(args: argparse.Namespace, policy: Policy) -> Record:
     """What the entry states about the policy: what it records, and the options."""
-    from magical.evaluation.entry import record_of
-
     recorded, seed = record_of(policy, args.policy, args.out), args.training_seed
     if seed is not None and recorded.training_seed not in (None, seed):
         raise common.UsageError(
@@ -139,11 +141,8 @@ def _record(args: argparse.Namespace, policy: "Policy") -> "Record":
     return replace(recorded, **{name: value for name, value in stated.items() if value is not None})
 
 
-def _check_folder(args: argparse.Namespace, entry: "Entry") -> None:
+def _check_folder(args: argparse.Namespace, entry: Entry) -> None:
     """Make the folder and say what is replaced; `UsageError` if it is another policy's."""
-    from magical.evaluation import read_entry
-    from magical.runs import is_run
-
     owner, replaced = entry.record.policy, ""
     with suppress(MagicalError, OSError):
         old = read_entry(args.out)
@@ -159,11 +158,8 @@ def _check_folder(args: argparse.Namespace, entry: "Entry") -> None:
         common.log(replaced)
 
 
-def print_scores(scores: "Sequence[RolloutScore]") -> None:
+def print_scores(scores: Sequence[RolloutScore]) -> None:
     """Print a row for each environment, then the generalisation gap over all tasks."""
-    from magical.evaluation import by_variant
-    from magical.evaluation.statistics import gap_weights, over_rollouts, rollout_mean
-
     rows = []
     for task, cells in by_variant(scores).items():
         means = {variant: fmean(row.score for row in cell) for variant, cell in cells.items()}

@@ -7,19 +7,16 @@ ranked are listed with the reason.
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from magical.commands import _common as common
+from magical.extras import require
 from magical.messages import for_terminal
-
-if TYPE_CHECKING:
-    from magical.report.leaderboard import Standing
-
-HELP = "rank evaluated entries on a static page"
+from magical.report.leaderboard import Standing, by_reasons, make_leaderboard
+from magical.report.table import interval_text
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Describe the command's arguments."""
     parser.add_argument("folders", nargs="+", type=Path, metavar="FOLDER", help="folder of entries")
     common.add_out(parser, "folder to write index.html and the other pages to")
     meaning = "mark methods whose rollouts you have rerun (magical verify)"
@@ -28,11 +25,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Check, rank, print, write."""
-    from magical.extras import require
-    from magical.report.leaderboard import by_reasons, make_leaderboard
-    from magical.report.table import interval_text
-
     if args.out:
         require("report")
     board = make_leaderboard(args.folders, args.rerun)
@@ -69,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _plain(row: "Standing") -> dict[str, Any]:
+def _plain(row: Standing) -> dict[str, Any]:
     """A method's standing as plain data; ranks are `None` if it has none, and so is NaN."""
     intervals = {"test_all": row.test_all, "demo": row.demo, "gap": row.gap}
     return {

@@ -9,13 +9,16 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from magical.commands import _common as common
+from magical.evaluation.loading import policy_of
+from magical.extras import require
+from magical.report.found import find_results
+from magical.report.page import FORMATS, all_tables, format_of, plain_rows, write_page
+from magical.report.table import matching_methods, rows_of
 
-HELP = "make a page of tables from evaluated runs"
 TITLE = "MAGICAL: results"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Describe the command's arguments."""
     parser.add_argument("folders", nargs="+", type=Path, metavar="DIR", help="folder with runs")
     meaning = (
         'rows of the published tables to show below, such as "BC (ST)" (default: those with the '
@@ -37,13 +40,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Read, tabulate, print every table of the page as text, write the file."""
-    from magical.evaluation.loading import policy_of
-    from magical.extras import require
-    from magical.report.found import find_results
-    from magical.report.page import FORMATS, all_tables, format_of, plain_rows, write_page
-    from magical.report.table import matching_methods, rows_of
-
     if args.format and not args.out:
         raise common.UsageError("--format needs --out FILE")
     kind = args.format or format_of(args.out) if args.out else None

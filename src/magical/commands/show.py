@@ -3,13 +3,16 @@
 import argparse
 from pathlib import Path
 
-from magical.commands._common import UsageError, add_json, add_out, add_seed, print_json
+import numpy as np
+from PIL import Image
 
-HELP = "write an image of a scene"
+from magical.commands._common import UsageError, add_json, add_out, add_seed, print_json
+from magical.envs import parse_env_id
+from magical.envs.env import MagicalEnv
+from magical.files import write_atomically
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Describe the command's arguments."""
     parser.add_argument("env_id", metavar="ENV_ID", help="for instance magical/FindDupe-TestAll-v0")
     add_seed(parser, "seed of the scene")
     add_out(parser, "file to write (default: ENV_ID with - for /, and .png)", "FILE.png")
@@ -17,14 +20,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Reset the environment and save its rendering."""
-    import numpy as np
-    from PIL import Image
-
-    from magical.envs import parse_env_id
-    from magical.envs.env import MagicalEnv
-    from magical.files import write_atomically
-
     env_id = parse_env_id(args.env_id)
     out = args.out or Path(f"{env_id.replace('/', '-')}.png")
     if out.suffix.lower() not in ("", ".png"):

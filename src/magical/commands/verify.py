@@ -11,19 +11,19 @@ scoring rules are the same. This finds mistakes; it does not show that a policy 
 import argparse
 from pathlib import Path
 from statistics import fmean
-from typing import TYPE_CHECKING
+
+import numpy as np
 
 from magical.commands import _common as common
+from magical.evaluation import load_policy, read_entry
+from magical.evaluation.loading import policy_of, recorded_threads
+from magical.evaluation.verification import Verification, is_elsewhere, verify
 from magical.messages import decimals
-
-if TYPE_CHECKING:
-    from magical.evaluation.verification import Verification
-
-HELP = "rerun a sample of an entry's rollouts"
+from magical.runs import machine, versions
+from magical.tasks.axes import short_variant
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Describe the command's arguments."""
     parser.add_argument("entry", type=Path, metavar="ENTRY", help="folder of an evaluated run")
     meaning = "the policy, as for evaluate (default: the one that the entry records)"
     parser.add_argument("--policy", metavar="POLICY", help=meaning)
@@ -36,15 +36,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run again, compare, print; 1 if the scores are not confirmed."""
-    import numpy as np
-
-    from magical.evaluation import load_policy, read_entry
-    from magical.evaluation.loading import policy_of, recorded_threads
-    from magical.evaluation.verification import is_elsewhere, verify
-    from magical.runs import machine, versions
-    from magical.tasks.axes import short_variant
-
     entry = read_entry(args.entry)
     policy = load_policy(args.policy) if args.policy else policy_of(args.entry, entry)
     with recorded_threads(policy, entry):
@@ -77,7 +68,7 @@ def run(args: argparse.Namespace) -> int:
     return 0 if found.confirmed else 1
 
 
-def _verdict(found: "Verification") -> str:
+def _verdict(found: Verification) -> str:
     verdict = "confirmed" if found.confirmed else "not confirmed"
     count = f"{found.equal} of {len(found.recorded)} rollouts have the recorded scores"
     if found.equal == len(found.recorded):
