@@ -53,16 +53,16 @@ def task_name(text: str) -> str:
         raise argparse.ArgumentTypeError(str(error)) from error
 
 
-def add_count(
+def add_number(
     parser: argparse.ArgumentParser,
     flag: str,
     meaning: str,
     *,
-    default: float | None = None,
-    least: float = 1,
+    default: float | None = 0.0,
+    least: float = 0,
     most: float = math.inf,
-    kind: type[float] = int,
-    metavar: str = "N",
+    kind: type[float] = float,
+    metavar: str = "X",
 ) -> None:
     """Add an option whose value is a finite number of a kind, in a range with its ends."""
     noun = "an integer" if kind is int else "a number"
@@ -79,11 +79,12 @@ def add_count(
     parser.add_argument(flag, type=parsed, default=default, metavar=metavar, help=meaning)
 
 
-def add_number(
-    parser: argparse.ArgumentParser, flag: str, meaning: str, *, most: float = math.inf
+def add_count(
+    parser: argparse.ArgumentParser, flag: str, meaning: str, least: float = 1, **options: Any
 ) -> None:
-    """Add an option whose value is a number from 0 to `most`, by default 0."""
-    add_count(parser, flag, meaning, default=0.0, least=0, most=most, kind=float, metavar="X")
+    """Add an option whose value is an integer of at least `least`, by default `None`."""
+    options = {"default": None, "metavar": "N", **options}
+    add_number(parser, flag, meaning, least=least, kind=int, **options)
 
 
 def add_seed(parser: argparse.ArgumentParser, meaning: str) -> None:

@@ -57,7 +57,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "shift initial poses randomly by up to X units and radians, seeded by the rollout's seed; "
         "1e-9 averages over effects of rounding"
     )
-    common.add_count(parser, "--noise", meaning, least=0, most=MAX_NOISE, kind=float)
+    common.add_number(parser, "--noise", meaning, default=None, most=MAX_NOISE)
     common.add_seed(parser, "which set of fixed seeds to use")
     meaning = "observation preset (default: the policy's own, or LoRes4E)"
     parser.add_argument("--observation", metavar="PRESET", help=meaning)
