@@ -36,8 +36,7 @@ from magical.evaluation import Entry, read_entry
 from magical.evaluation.entry import ENTRY_FILE, read_collection, write_collection
 from magical.evaluation.protocol import NUDGE, Evaluation, environments
 from magical.plugins import import_user_module
-from magical.runs.folder import read_json, write_json
-from magical.runs.plan import PLAN, RUNS
+from magical.runs import PLAN, RUNS, read_json, write_json
 from magical_baselines.experiments.one_run import evaluate_run
 from magical_baselines.experiments.plan import DATASET, PlannedRun, planned_runs, read_plan
 from magical_baselines.experiments.status import DONE, read_result

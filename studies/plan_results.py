@@ -9,7 +9,7 @@ from statistics import fmean
 from typing import Any
 
 from magical.grouping import group_by
-from magical.runs.folder import read_json
+from magical.runs import read_json
 
 NOT_RUN = "not run"
 NOTHING = f"Nothing yet: {NOT_RUN}."

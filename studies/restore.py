@@ -18,8 +18,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from magical.errors import MagicalError, ResultsError
-from magical.runs.folder import read_json, write_json
-from magical.runs.plan import PLAN, RESULT, RUNS
+from magical.runs import PLAN, RESULT, RUNS, read_json, write_json
 from magical_baselines.experiments.plan import folder_name
 from magical_baselines.experiments.status import DONE
 from studies.collect import Collected

@@ -22,7 +22,7 @@ from magical.commands._common import print_table
 from magical.errors import PlacementError, UnknownNameError
 from magical.extras import EXTRAS
 
-COMMANDS = cli.find_commands()
+COMMANDS = cli.find_commands()  # their help, by name
 
 
 @pytest.fixture
@@ -39,14 +39,9 @@ def fail_with(monkeypatch: pytest.MonkeyPatch) -> Callable[[BaseException], int]
     return call
 
 
-def test_commands_are_found_in_order() -> None:
-    assert list(COMMANDS) == sorted(COMMANDS)
-    assert {"envs", "show"} <= set(COMMANDS)
-
-
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_explains_itself(name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert COMMANDS[name].HELP
+    assert COMMANDS[name]
     assert cli.main([name, "--help"]) == 0
     assert capsys.readouterr().out.startswith(f"usage: magical {name}")
 
@@ -54,11 +49,8 @@ def test_every_command_explains_itself(name: str, capsys: pytest.CaptureFixture[
 @pytest.mark.parametrize(
     ("words", "name", "found"),
     [
-        ("evaluate random --variants Demo --variants Jitter Colour", "variants", 3),
         ("evaluate random --learned-from score --learned-from interaction", "learned_from", 2),
         ("demos generate --out demos --env A B --env C", "env", 3),
-        ("demos video demos --out x.mp4 --index 0 --index 1 2", "index", 3),
-        ("report runs --published A --published B", "published", 2),
         ("leaderboard runs --rerun A --rerun B", "rerun", 2),
     ],
 )
@@ -67,45 +59,31 @@ def test_an_option_of_several_values_may_be_repeated(words: str, name: str, foun
     assert len(values) == found
 
 
-def test_version(capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["--version"]) == 0
-    assert capsys.readouterr().out == f"magical {magical.__version__}\n"
-
-
 @pytest.mark.parametrize(
-    "argv",
+    "words",
     [
-        ["fly"],
-        ["envs", "--fast"],
-        ["--impor", "json", "envs"],
-        ["evaluate", "noop", "--roll", "1"],
-        ["evaluate", "noop", "--test-evaluations", "0"],
-        ["demos", "info", "--jso", "demos"],
-        ["report", "runs", "--format", "csv"],
-        ["show"],
-        ["show", "magical/MoveToCorner-Demo-v0", "--seed", "-1"],
-        ["show", "magical/MoveToCorner-Demo-v0", "--seed", "one"],
-        ["show", "magical/MoveToMoon-Demo-v0"],
-        ["show", "magical/MoveToCorner-TestLayout-v0"],
-        ["show", "magical/MoveToCorner-Demo-v0", "--out", "no-folder/scene.jpg"],
+        "fly",
+        "demos",
+        "--import",
+        "--impor json envs",
+        "evaluate noop --roll 1",
+        "evaluate noop --test-evaluations 0",
+        "evaluate noop --rollouts 0",
+        "report runs --format csv",
+        "show magical/MoveToCorner-Demo-v0 --seed -1",
+        "show magical/MoveToCorner-TestLayout-v0",
+        "show magical/MoveToCorner-Demo-v0 --out no-folder/scene.jpg",
+        "show magical/MoveToCorner-Demo-v0 --out .",
     ],
 )
-def test_wrong_usage_exits_2(argv: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(argv) == 2
+def test_wrong_usage_exits_2_with_one_line(words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(words.split()) == 2
     captured = capsys.readouterr()
     assert captured.out == ""
-    assert captured.err.startswith("error: ")
-
-
-@pytest.mark.parametrize("words", ["evaluate noop --rollouts 0", "demos", "--import", "no"])
-def test_wrong_arguments_take_one_line_that_names_the_help(
-    words: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert cli.main(words.split()) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    command = re.fullmatch(r"error: .*; see (magical( \w+)*) --help", line)
-    assert command is not None
-    assert cli.main([*command[1].split()[1:], "--help"]) == 0
+    (line,) = captured.err.splitlines()
+    assert line.startswith("error: ")
+    if command := re.search(r"; see magical(.*) --help$", line):
+        assert cli.main([*command[1].split(), "--help"]) == 0
 
 
 def test_the_command_alone_prints_its_help(capsys: pytest.CaptureFixture[str]) -> None:
@@ -113,6 +91,8 @@ def test_the_command_alone_prints_its_help(capsys: pytest.CaptureFixture[str]) -
     described = capsys.readouterr()
     assert cli.main([]) == 0
     assert capsys.readouterr() == described
+    assert cli.main(["--version"]) == 0
+    assert capsys.readouterr().out == f"magical {magical.__version__}\n"
 
 
 @pytest.mark.parametrize(
@@ -120,11 +100,7 @@ def test_the_command_alone_prints_its_help(capsys: pytest.CaptureFixture[str]) -
     [
         (UnknownNameError("no such task"), 2, "error: no such task\n"),
         (PlacementError("no room"), 1, "error: no room\n"),
-        (
-            FileNotFoundError(2, "No such file", "x.png"),
-            1,
-            "error: [Errno 2] No such file: 'x.png'\n",
-        ),
+        (FileNotFoundError(2, "No file", "x.png"), 1, "error: [Errno 2] No file: 'x.png'\n"),
         (KeyboardInterrupt(), 130, "interrupted\n"),
     ],
 )
@@ -145,31 +121,26 @@ def test_a_terminated_command_ends_like_an_interrupted_one(
     monkeypatch.setattr(envs, "run", lambda _: signal.raise_signal(signal.SIGTERM))
     assert cli.main(["envs"]) == 130
     assert capsys.readouterr().err == "interrupted\n"
-    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
 
 
 def test_a_missing_library_is_answered_with_the_extra_that_brings_it(
     fail_with: Callable[[BaseException], int], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert fail_with(ModuleNotFoundError("no av", name="av.video")) == 1
-    assert 'pip install "av>=14"' in capsys.readouterr().err
+    assert 'pip install "magical-benchmark[video]"' in capsys.readouterr().err
     for bug in (ModuleNotFoundError("no such thing", name="magical.nothing"), ZeroDivisionError()):
         with pytest.raises(type(bug)):
             fail_with(bug)
 
 
-def test_extras_are_those_of_the_package(root: Path) -> None:
-    project = tomllib.loads((root / "pyproject.toml").read_text())["project"]
-    extras = project["optional-dependencies"]
-    for extra, libraries in EXTRAS.items():
-        for library in libraries:
-            name = {"h5py": "minari[hdf5]"}.get(library, library)
-            assert any(need.startswith(name.replace("_", "-")) for need in extras[extra]), library
-
-
 def test_every_library_that_is_imported_is_declared(root: Path) -> None:
-    needs = tomllib.loads((root / "pyproject.toml").read_text())["project"]["dependencies"]
-    names = {re.split(r"[<>=]", need)[0] for need in needs} - {"pillow"} | {"PIL"}
+    project = tomllib.loads((root / "pyproject.toml").read_text())["project"]
+    for extra, libraries in EXTRAS.items():
+        needs = " ".join(project["optional-dependencies"][extra])
+        for library in set(libraries) - {"h5py"}:  # of minari[hdf5]
+            assert library.replace("_", "-") in needs
+    names = {re.split(r"[<>=]", need)[0] for need in project["dependencies"]}
+    names = names - {"pillow"} | {"PIL"}
     known = names.union(sys.stdlib_module_names, *EXTRAS.values(), ["magical"])
     for path in (root / "src").rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text())):
@@ -184,9 +155,9 @@ def test_every_library_that_is_imported_is_declared(root: Path) -> None:
 
 
 def test_tables_are_aligned(capsys: pytest.CaptureFixture[str]) -> None:
-    print_table(("name", "score"), [("a", "0.5"), ("long name", 10)])
+    print_table(("name", "score"), [("a", 0.5), ("long name", 10)])
     assert capsys.readouterr().out == (
-        "name       score\n---------  -----\na            0.5\nlong name     10\n"
+        "name       score\n---------  -----\na          0.500\nlong name     10\n"
     )
     print_table(("name", "score"), [])
     assert capsys.readouterr().out == "name  score\n----  -----\n"
@@ -206,28 +177,23 @@ def test_there_may_be_no_standard_output(monkeypatch: pytest.MonkeyPatch) -> Non
     assert cli.main(["envs"]) == 0
 
 
-@pytest.mark.parametrize("words", [("envs", "--import"), ("--import",)])
-def test_a_module_is_imported_before_any_command(root: Path, words: tuple[str, ...]) -> None:
-    command = [sys.executable, "-m", "magical", *words, str(root / "examples/ninth_task.py")]
-    if "envs" not in words:
-        command.append("envs")
+def test_a_module_is_imported_before_any_command(root: Path) -> None:
+    words = ("--import", str(root / "examples/ninth_task.py"), "envs")
+    command = [sys.executable, "-m", "magical", *words]
     listed = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     assert "Separate" in listed
 
 
-def test_a_module_that_cannot_be_imported_is_named(capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["envs", "--import", "no_such_module"]) == 1
-    assert "'no_such_module' cannot be imported" in capsys.readouterr().err
-    assert cli.main(["envs", "--import", "no-module"]) == 1
-    assert "is not a module's name" in capsys.readouterr().err
-
-
-def test_errors_in_a_module_are_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_module_that_cannot_be_imported_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("no_such_module", "no-module", "."):
+        assert cli.main(["envs", "--import", name]) == 1
+        assert f"{name!r} cannot be imported" in capsys.readouterr().err
     (tmp_path / "module_with_a_mistake.py").write_text("raise ValueError('in line 1')")
     monkeypatch.syspath_prepend(tmp_path)
-    with pytest.raises(ValueError, match="in line 1") as caught:
+    with pytest.raises(ValueError, match="in line 1"):
         cli.main(["envs", "--import", "module_with_a_mistake"])
-    assert caught.type is ValueError
 
 
 def test_envs_lists_the_registry(capsys: pytest.CaptureFixture[str]) -> None:
@@ -236,33 +202,27 @@ def test_envs_lists_the_registry(capsys: pytest.CaptureFixture[str]) -> None:
     report = json.loads(last)
     assert report["ids"] == magical.all_env_ids(presets=True)
     assert report["tasks"]["MoveToCorner"]["horizon"] == 80
-    assert "TestLayout" not in report["tasks"]["MoveToCorner"]["variants"]
     rows = [line.split() for line in table]
     for name, task in report["tasks"].items():
         assert [name, str(task["horizon"]), *task["variants"]] in rows
 
 
-def test_show_writes_both_views(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_show_writes_both_views(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
     out = tmp_path / "new" / "scene.png"
-    argv = ["show", "magical/FindDupe-TestAll-LoRes4E-v0", "--seed", "3", "--out", str(out)]
-    assert cli.main(argv) == 0
+    argv = ["show", "magical/FindDupe-TestAll-LoRes4E-v0", "--seed", "3"]
+    assert cli.main([*argv, "--out", str(out)]) == 0
     assert capsys.readouterr().out == f"wrote {out}\n"
     assert list(out.parent.iterdir()) == [out]
-    first = out.read_bytes()
     with Image.open(out) as image:
         assert image.size == (768, 384)
         assert len(set(image.getdata())) > 50
-    cli.main(argv)
-    assert out.read_bytes() == first
-    argv[3] = "4"
-    cli.main(argv)
-    assert out.read_bytes() != first
-
-
-@pytest.mark.parametrize("out", ["", "."])
-def test_a_folder_is_no_file_to_write(out: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["show", "magical/MoveToRegion-Demo-v0", "--out", out]) == 2
-    assert "--out: expected a file, found the folder" in capsys.readouterr().err
+    assert cli.main([*argv, "--json"]) == 0
+    report = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert report["out"] == "magical-FindDupe-TestAll-LoRes4E-v0.png"
+    assert Path(report["out"]).read_bytes() == out.read_bytes()
 
 
 def test_names_of_any_bytes_can_be_printed(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -273,20 +233,10 @@ def test_names_of_any_bytes_can_be_printed(monkeypatch: pytest.MonkeyPatch) -> N
     assert written.getvalue().endswith(b"\\udcff\n")
 
 
-def test_show_chooses_a_name(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert cli.main(["show", "magical/MoveToRegion-Demo-v0", "--json"]) == 0
-    report = json.loads(capsys.readouterr().out.splitlines()[-1])
-    assert report["out"] == "magical-MoveToRegion-Demo-v0.png"
-    assert (tmp_path / report["out"]).is_file()
-
-
 def test_a_command_of_a_distribution_that_is_not_installed_names_it(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(cli, "plugins", lambda group: {})
+    monkeypatch.setattr(cli, "plugins", lambda group: [])
     assert cli.main(["train", "bc", "--out", "run"]) == 1
     error = capsys.readouterr().err
     assert error.startswith("error: magical train: this command is of magical-baselines, which is")

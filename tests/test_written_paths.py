@@ -24,7 +24,6 @@ algorithm = "bc"
 settings = { batches = 2, batch_size = 2 }
 """
 EVALUATED = "--task MoveToRegion --variants Demo --rollouts 1"
-TRAINED = "--task MoveToRegion --num-demos 1 --batches 2 --batch-size 2 --preset quick"
 COMMANDS = {  # the command, what it needs, what it writes below --out
     "import": ("demos import {in}/published --workers 1", "", "000000.npz"),
     "generate": (f"demos generate --env {ENV} -n 1 --workers 1", "", "000000.npz"),
@@ -34,7 +33,6 @@ COMMANDS = {  # the command, what it needs, what it writes below --out
     "report": ("report {in}/entry", "jinja2 matplotlib", ".html"),
     "leaderboard": ("leaderboard {in}/entry", "jinja2 matplotlib", "index.html"),
     "show": (f"show {ENV}", "", ".png"),
-    "train": (f"train bc {TRAINED} --demos {{in}}/demos", "torch", "config.json"),
     "run": ("run {in}/plan.toml --demos {in}/demos --workers 1", "torch", "plan.json"),
 }
 

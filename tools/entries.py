@@ -22,10 +22,9 @@ from pathlib import Path, PurePosixPath
 
 from magical.errors import MagicalError
 from magical.evaluation.entry import ENTRY_FILE
-from magical.files import LOCK, sha256_sum, write_json
+from magical.files import LOCK, read_json, sha256_sum, write_json
 from magical.report.found import Found, search_results
 from magical.report.leaderboard import check_entries
-from magical.untrusted import read_json
 
 ROOT = Path(__file__).resolve().parents[1]
 SUBMISSION = "submission.json"

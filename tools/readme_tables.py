@@ -19,7 +19,7 @@ from magical.grouping import group_by
 from magical.observe import PRESETS, PixelSpec
 from magical.report.found import Found, Result, search_results
 from magical.report.leaderboard import ALL_TASKS, Standing, check_entries, make_boards
-from magical.runs.sources import DEMONSTRATIONS, INTERACTION, track_of
+from magical.runs import DEMONSTRATIONS, INTERACTION, track_of
 
 ROOT = Path(__file__).resolve().parents[1]
 LEAST_RUNS = 3  # of each task in a row of results

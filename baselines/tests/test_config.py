@@ -10,8 +10,7 @@ import pytest
 
 from baselines.tests.tiny_runs import tiny
 from magical.errors import InvalidConfigError, RunFolderError, UnknownNameError
-from magical.runs.folder import CONFIG
-from magical.runs.sources import track_of
+from magical.runs import CONFIG, track_of
 from magical.tasks import TASKS as REGISTRY
 from magical_baselines import algorithm_names, find_algorithm, read_config
 from magical_baselines.algorithms.bc import BCConfig

@@ -20,8 +20,7 @@ from magical.evaluation import Entry, RolloutScore, environments
 from magical.evaluation.entry import record_of
 from magical.evaluation.protocol import Evaluation
 from magical.plugins import import_user_module
-from magical.runs import read_metrics
-from magical.runs.folder import CHECKPOINT, CONFIG, METRICS, RECORD
+from magical.runs import CHECKPOINT, CONFIG, METRICS, RECORD, read_metrics
 from magical_baselines import load_policy, read_config, train
 from magical_baselines.algorithms.bc import BCConfig
 from magical_baselines.checkpoints import load_checkpoint, save_checkpoint
@@ -102,7 +101,7 @@ def test_no_module_is_imported_because_a_record_names_it(
     key: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(plugins, "_imported_names", set())  # other tests import some of them
+    monkeypatch.setattr(plugins, "_imported", {})  # other tests import some of them
     monkeypatch.delitem(sys.modules, "this", raising=False)
     for module in ("planted.py", "run/planted.py", "json.py", "numpy.py"):
         Path(module).write_text("raise SystemExit('imported')\n")
@@ -181,8 +180,7 @@ def test_what_the_user_imported_may_be_named(
         (folder / CONFIG).write_text(json.dumps({**data, "network": name}))
         with monkeypatch.context() as patch:
             patch.delitem(sys.modules, "own_file", raising=False)
-            patch.setattr(plugins, "_imported_names", set())
-            patch.setattr(plugins, "_imported_files", {})
+            patch.setattr(plugins, "_imported", {})
             with pytest.raises(PluginError, match="not one that you imported"):
                 read_config(folder)
             import_user_module(imported)

@@ -10,7 +10,7 @@ import pytest
 from baselines.tests.tiny_runs import same_weights, tiny
 from magical.cli import main
 from magical.errors import PluginError, UnknownNameError
-from magical.runs.folder import CONFIG
+from magical.runs import CONFIG
 from magical_baselines import find_algorithm, read_config, train
 from magical_baselines.algorithms.bc import BCConfig
 from magical_baselines.config import options

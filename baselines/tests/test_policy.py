@@ -15,7 +15,7 @@ from magical import evaluation
 from magical.errors import CheckpointError, DivergedError, PolicyError, RunFolderError
 from magical.evaluation import Policy
 from magical.observe import PRESETS
-from magical.runs.folder import CHECKPOINT
+from magical.runs import CHECKPOINT
 from magical_baselines import NetworkPolicy, is_run, load_policy, train
 from magical_baselines.algorithms.bc import BCConfig
 

@@ -25,13 +25,13 @@ from magical.errors import (
     InvalidConfigError,
     RunFolderError,
 )
-from magical.runs import read_metrics
-from magical.runs.folder import CHECKPOINT, METRICS, opened_folder
+from magical.runs import CHECKPOINT, METRICS, read_metrics
 from magical_baselines import Algorithm, load_policy, train
 from magical_baselines.algorithms.bc import BCConfig
 from magical_baselines.algorithms.bc import make_policy as bc_policy
 from magical_baselines.compute import cpu_threads
 from magical_baselines.config import CHECKPOINT_SECONDS
+from magical_baselines.run_folder import opened_folder
 from magical_baselines.training import (
     Interrupts,
     Purpose,

@@ -11,10 +11,11 @@ import pytest
 from baselines.tests.tiny_runs import tiny
 from magical.cli import main
 from magical.errors import InvalidConfigError, MissingDependencyError
-from magical.runs.folder import RECORD, opened_folder, read_json
+from magical.runs import RECORD, read_json
 from magical_baselines import train
 from magical_baselines.algorithms.bc import BCConfig
 from magical_baselines.run import opened_trackers
+from magical_baselines.run_folder import opened_folder
 
 CONFIGURATION = tiny(BCConfig, seed=3)
 

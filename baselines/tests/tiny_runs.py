@@ -6,7 +6,7 @@ from typing import Any, TypeVar
 import torch
 from torch import Tensor
 
-from magical.runs.folder import CHECKPOINT
+from magical.runs import CHECKPOINT
 from magical_baselines import Config
 from magical_baselines.checkpoints import load_checkpoint
 from magical_baselines.compute import Compute

@@ -1,8 +1,7 @@
 """The optional libraries, and the extras of the package that bring them."""
 
 import importlib
-import importlib.util
-import re
+from importlib.util import find_spec
 from typing import Any
 
 from magical.errors import MissingDependencyError
@@ -30,28 +29,19 @@ def require(extra: str) -> None:
 def missing(module: str) -> MissingDependencyError:
     """The error for a library that is not installed, with the command that installs its extra.
 
-    Raises:
-        LookupError: the module belongs to no extra.
+    Raises `LookupError` if the module is in no extra.
     """
     top = module.partition(".")[0]
-    extra = next((name for name, modules in EXTRAS.items() if top in modules), None)
-    if extra is None:
-        raise LookupError(module)
+    extras = {module: extra for extra, modules in EXTRAS.items() for module in modules}
     return MissingDependencyError(
-        f"this needs {top}, which is not installed: pip install {_requirements(extra)} "
-        f"(the extra {extra!r} of magical-benchmark)"
+        f'this needs {top}, which is not installed: pip install "magical-benchmark[{extras[top]}]"'
     )
 
 
 def library(name: str, user: str) -> Any:
-    """Import a library that is in no extra of this package.
+    """Import a library that is in no extra of this package, for `user`.
 
-    Args:
-        name: the name of the module and of its distribution.
-        user: what needs it, for the message.
-
-    Raises:
-        MissingDependencyError: it is not installed.
+    Raises `MissingDependencyError` if it is not installed.
     """
     try:
         return importlib.import_module(name)
@@ -61,17 +51,8 @@ def library(name: str, user: str) -> Any:
         ) from error
 
 
-def _requirements(extra: str) -> str:
-    """The extra's requirements, quoted for a shell, from the installed package's metadata."""
-    from importlib.metadata import requires  # tens of milliseconds, only for a message
-
-    wanted = re.compile(rf"(?P<need>[^;]+);.*extra == ['\"]{extra}['\"]")
-    found = map(wanted.match, requires("magical-benchmark") or [])
-    return " ".join(f'"{match["need"].strip()}"' for match in found if match)
-
-
 def _is_installed(module: str) -> bool:
     try:
-        return importlib.util.find_spec(module) is not None
+        return find_spec(module) is not None
     except ValueError:  # imported, without a `__spec__`: a stand-in
         return False

@@ -7,48 +7,52 @@ import numpy as np
 
 MAX_LENGTH = 200  # characters of a value in a message
 MAX_ITEMS = 8  # of a container
-_SHORT = 40  # characters of an item of a container
 _INTEGER_BITS = 256  # of the longest integer that is written out
-_CONTAINERS = (list, tuple, set, frozenset, dict)
 
 
 def quoted(value: Any, limit: int = MAX_LENGTH) -> str:
-    """A value as text for a message.
+    """A value as text for a message, of at most `limit` characters.
 
     Strings and numbers are written as in Python, containers with their first items, and anything
     else as the name of its type. Containers within containers are not entered, so the cost is
     bounded for any value. Control characters and other unprintable ones are escaped.
-
-    Args:
-        value: any object.
-        limit: the largest number of characters to return.
     """
     value = value.item() if isinstance(value, np.generic) else value
     match value:
-        case None | bool() | float():
-            text = str(value)
-        case int():
-            bits = value.bit_length()
-            text = str(int(value)) if bits <= _INTEGER_BITS else f"<integer of {bits} bits>"
         case str() | bytes():
             text = repr(value[:limit])
+        case int() if value.bit_length() > _INTEGER_BITS:
+            text = f"<integer of {value.bit_length()} bits>"
+        case None | int() | float():
+            text = str(value)
         case np.ndarray():
             kind = f"{value.dtype.kind}{value.dtype.itemsize * 8}"
             text = f"<array of shape {value.shape}, {kind}>"
-        case dict():
-            pairs = islice(value.items(), MAX_ITEMS)
-            text = _listed([f"{_item(key)}: {_item(item)}" for key, item in pairs], value, "{}")
-        case list() | tuple() | set() | frozenset():
-            around = "[]" if isinstance(value, list) else "()" if isinstance(value, tuple) else "{}"
-            text = _listed([_item(item) for item in islice(value, MAX_ITEMS)], value, around)
+        case dict() | list() | tuple() | set() | frozenset():
+            items = [_item(item) for item in islice(value, MAX_ITEMS)]
+            if isinstance(value, dict):
+                items = [f"{key}: {_item(value[k])}" for key, k in zip(items, value, strict=False)]
+            more = [f"... ({len(value)} items)"] if len(value) > MAX_ITEMS else []
+            around = {list: "[]", tuple: "()"}.get(type(value), "{}")
+            text = f"{around[0]}{', '.join(items + more)}{around[1]}"
         case _:
             text = f"<{printable(type(value).__name__)}>"
     return _cut(text, limit)
 
 
+def _item(value: Any) -> str:
+    if isinstance(value, list | tuple | set | frozenset | dict):
+        return f"<{type(value).__name__} of {len(value)}>"
+    return quoted(value, 40)
+
+
 def printable(text: str, limit: int = MAX_LENGTH) -> str:
     """Text without quotes around it, cut to `limit`, with unprintable characters escaped."""
     return _cut("".join(c if c.isprintable() else ascii(c)[1:-1] for c in text[: limit + 1]), limit)
+
+
+def _cut(text: str, limit: int) -> str:
+    return text if len(text) <= limit else f"{text[: limit - 3]}..."
 
 
 def for_terminal(text: str) -> str:
@@ -62,18 +66,3 @@ def decimals(value: float, digits: int = 2, sign: str = "") -> str:
     With `sign="+"`, numbers of at least 0 have a sign, too.
     """
     return f"{value:{sign}z.{digits}f}".replace("-", "−")
-
-
-def _cut(text: str, limit: int) -> str:
-    return text if len(text) <= limit else f"{text[: limit - 3]}..."
-
-
-def _listed(items: list[str], container: Any, brackets: str) -> str:
-    rest = [f"... ({len(container)} items)"] if len(container) > MAX_ITEMS else []
-    return f"{brackets[0]}{', '.join(items + rest)}{brackets[1]}"
-
-
-def _item(value: Any) -> str:
-    if isinstance(value, _CONTAINERS):
-        return f"<{type(value).__name__} of {len(value)}>"
-    return quoted(value, _SHORT)

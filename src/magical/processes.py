@@ -5,12 +5,9 @@ import signal
 from collections import deque
 from collections.abc import Callable, Container, Generator, Iterable
 from threading import Thread
-from typing import TYPE_CHECKING, TypeVar, cast
+from typing import TypeVar, cast
 
 from magical.errors import WorkerDiedError
-
-if TYPE_CHECKING:
-    from concurrent.futures import Future
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -64,12 +61,12 @@ def map_in_order(
             yield item, None if item in skip else work(item)
         return
     # Imported only here, as it takes ten milliseconds.
-    from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
+    from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor
     from multiprocessing import get_context
 
     pool = ProcessPoolExecutor(workers, get_context("spawn"), initializer=_begin)
+    waiting: deque[tuple[Item, Future[Result] | None]] = deque()
     try:
-        waiting: deque[tuple[Item, Future[Result] | None]] = deque()
         for item in items:
             waiting.append((item, None if item in skip else pool.submit(work, item)))
             if len(waiting) > 2 * workers:

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from magical.observe.pixels import CHANNELS
-from magical.runs.sources import PARSER_SOURCES
+from magical.runs import PARSER_SOURCES
 from magical.scene import Colour, Shape
 from magical_goals.objects.control import ObjectTable, to_table
 from magical_goals.objects.parser import parse_frames

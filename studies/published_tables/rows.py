@@ -17,7 +17,7 @@ from magical.report.table import (
     is_comparable,
     marks,
 )
-from magical.runs.sources import track_of
+from magical.runs import track_of
 from magical.tasks import get_task
 
 UNSTATED = Statements()
@@ -33,7 +33,7 @@ class MethodRuns:
         published: the name of the published row; empty for none.
         env_ids: the columns' environments, in the registry's order.
         means: (runs, environments), each run's mean score; NaN where it was not evaluated.
-        track: `P`, `R` or `X`, or empty (`magical.runs.sources`).
+        track: `P`, `R` or `X`, or empty (`magical.runs`).
         statements: whose demonstrations, and how often test variants were evaluated before.
     """
 

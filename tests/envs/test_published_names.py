@@ -9,7 +9,6 @@ import gymnasium
 import pytest
 
 import magical
-from magical import cli
 from magical.envs.vector import MagicalVectorEnv
 from magical.evaluation import published_tasks
 
@@ -45,8 +44,3 @@ def test_published_ids_make_the_environments_when_asked_for() -> None:
     assert old.observation_spec == new.observation_spec
     envs = gymnasium.make_vec("MakeLine-Demo-v0", 2, workers=0, observation="state")
     assert isinstance(envs, MagicalVectorEnv)
-
-
-def test_the_published_option_names_the_command(capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["--env-name", "MoveToCorner-Demo-v0"]) == 2
-    assert "use `magical play --env ID`" in capsys.readouterr().err

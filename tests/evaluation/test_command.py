@@ -10,7 +10,7 @@ from magical.commands.evaluate import print_scores
 from magical.envs import EnvId
 from magical.evaluation import RolloutScore, read_entry
 from magical.report.leaderboard import faults
-from magical.runs.folder import write_json
+from magical.runs import write_json
 from magical.tasks import unregister_task
 
 POLICY = """
@@ -165,7 +165,7 @@ def test_what_cannot_be_written_or_verified_is_refused_before_anything_runs(
     (tmp_path / "seeing.py").write_text(POLICY + "wrong.observation = 'LoRes4A'\n")
     argv = [f"{tmp_path / 'seeing.py'}:wrong", "--task", "MoveToRegion"]
     status, _, err = evaluate(capsys, *argv, "--out", str(tmp_path / "file"))
-    assert (status, "expected a folder, found a file" in err) == (1, True)
+    assert (status, "File exists" in err) == (1, True)
     status, _, err = evaluate(capsys, *argv, "--observation", "LoRes4E")
     assert (status, "the policy states its own observation, LoRes4A" in err) == (2, True)
 

@@ -30,7 +30,7 @@ from magical.evaluation.policy import Actions
 from magical.evaluation.rollouts import evaluate_round, roll_out
 from magical.evaluation.verification import Verification, is_elsewhere, verify
 from magical.observe import Observation
-from magical.runs.machine import machine, versions
+from magical.runs import machine, versions
 from tests.entries import entry_of
 
 IDS = environments(["MoveToRegion"], ["Demo", "Layout", "All"])

@@ -9,7 +9,7 @@ import pytest
 from magical.envs import EnvId
 from magical.envs.seeds import evaluation_seed
 from magical.evaluation import Entry, RolloutScore
-from magical.runs.folder import write_json
+from magical.runs import write_json
 from tests.entries import entry_of
 
 WriteEntry = Callable[..., Path]

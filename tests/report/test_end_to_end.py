@@ -11,7 +11,7 @@ import pytest
 from magical import __version__, cli
 from magical.evaluation import environments
 from magical.report.found import find_results
-from magical.runs.folder import write_json
+from magical.runs import write_json
 from tests.report.conftest import WriteEntry
 
 ALIKE = {"MoveToRegion-Demo": [1.0, 0.0]}

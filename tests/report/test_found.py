@@ -10,7 +10,7 @@ from magical.evaluation import read_entry
 from magical.evaluation.entry import write_collection
 from magical.report.found import find_results, search_results
 from magical.report.page import write_page
-from magical.runs.folder import write_json
+from magical.runs import write_json
 from tests.report.conftest import WriteEntry
 
 LINE = {"MakeLine-Demo": [1.0, 0.0]}

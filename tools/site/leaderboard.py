@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 from magical.report.leaderboard import Board, Leaderboard, Standing, by_reasons
 from magical.report.table import interval_text
-from magical.runs.sources import SOURCES, TRACKS
+from magical.runs import SOURCES, TRACKS
 from tools.readme_tables import table
 
 NO_BREAK = "\u00a0"  # a no-break space, to keep figures on one line

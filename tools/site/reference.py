@@ -95,8 +95,7 @@ def error_page() -> str:
 def command_pages() -> dict[str, str]:
     """A page for each command, with its help and that of its subcommands."""
     rows = (
-        (f"[`magical {name}`]({name}.md)", module.HELP)
-        for name, module in cli.find_commands().items()
+        (f"[`magical {name}`]({name}.md)", help_) for name, help_ in cli.find_commands().items()
     )
     made = {
         "commands/index.md": (

@@ -13,9 +13,9 @@ from torch import Tensor
 from torch.optim import Optimizer
 
 from magical.errors import DeviceError, RunFolderError
+from magical.files import convert
 from magical.messages import quoted
-from magical.runs.folder import RECORD
-from magical.untrusted import convert
+from magical.runs import RECORD
 from magical_baselines.config import MAX_THREADS
 
 DEVICES = ("auto", "cpu", "cuda")

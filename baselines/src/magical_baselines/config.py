@@ -28,14 +28,13 @@ import numpy as np
 from msgspec import Meta
 
 from magical.errors import InvalidConfigError, PluginError, RunFolderError, UnknownNameError
+from magical.files import convert
 from magical.messages import quoted
 from magical.observe import PRESETS, STATE, ObservationSpec, make_spec
 from magical.observe.presets import GROUP as OBSERVATIONS
 from magical.plugins import Registry, is_plugin, plugins, require_imported
-from magical.runs.folder import CONFIG, is_run, read_json
-from magical.runs.sources import DEMONSTRATIONS, LEARNED_FROM, NUM_DEMOS
+from magical.runs import CONFIG, DEMONSTRATIONS, LEARNED_FROM, NUM_DEMOS, is_run, read_json
 from magical.tasks import get_task
-from magical.untrusted import convert
 from magical_baselines.augmentation.names import Augmentations, parse_augmentations
 from magical_baselines.networks import GROUP as NETWORKS
 from magical_baselines.networks import sources_of
@@ -140,7 +139,7 @@ class Config:
 
     @property
     def learned_from(self) -> tuple[str, ...]:
-        """What the run learns from, in the terms of `magical.runs.sources`."""
+        """What the run learns from, in the terms of `magical.runs`."""
         return ()
 
     @property

@@ -14,7 +14,7 @@ from magical.envs import parse_env_id
 from magical.errors import DivergedError, ObservationError, PolicyError
 from magical.evaluation.policy import Actions, Mask
 from magical.observe import ObservationSpec
-from magical.runs.folder import CHECKPOINT, RECORD, read_json
+from magical.runs import CHECKPOINT, RECORD, read_json
 from magical_baselines.augmentation.augment import to_unit
 from magical_baselines.checkpoints import load_checkpoint, restoring
 from magical_baselines.compute import (

@@ -21,7 +21,7 @@ from magical.errors import InvalidConfigError
 from magical.evaluation.protocol import Evaluation
 from magical.evaluation.rollouts import RepeatedEvaluation
 from magical.observe import ObservationSpec
-from magical.runs.sources import INTERACTION
+from magical.runs import INTERACTION
 from magical.scene import NUM_ACTIONS
 from magical.tasks import Horizon, get_task
 from magical_baselines.augmentation.augment import to_unit

@@ -14,11 +14,11 @@ import torch
 from magical.errors import InvalidConfigError
 from magical.extras import library
 from magical.progress import ProgressBar
-from magical.runs.folder import TENSORBOARD, opened_folder
-from magical.runs.metrics import read_metrics
+from magical.runs import TENSORBOARD, read_metrics
 from magical_baselines.compute import choose_device, cpu_threads, full_float32, gpu_memory_as_error
 from magical_baselines.config import Config, find_algorithm
 from magical_baselines.policy import TrainedPolicy, load_policy
+from magical_baselines.run_folder import opened_folder
 from magical_baselines.training import Callback, Interrupts, Run, restored_generators
 
 TRACKERS = ("tensorboard", "wandb")

@@ -26,8 +26,7 @@ from torch.optim import Optimizer
 
 from magical.errors import DivergedError, InvalidConfigError, RunFolderError
 from magical.messages import quoted
-from magical.runs.folder import CHECKPOINT, RECORD, read_json, write_json
-from magical.runs.metrics import MetricsWriter
+from magical.runs import CHECKPOINT, RECORD, read_json, write_json
 from magical_baselines.checkpoints import (
     StateDict,
     Stateful,
@@ -39,6 +38,7 @@ from magical_baselines.checkpoints import (
 )
 from magical_baselines.compute import Compute, choose_compute, choose_device, read_compute
 from magical_baselines.config import CHECKPOINT_SECONDS, Config, SupervisedConfig
+from magical_baselines.run_folder import MetricsWriter
 
 Metrics = Mapping[str, float | str]
 Callback = Callable[[int, Metrics], object]  # step, metrics
@@ -182,7 +182,7 @@ class Run:
     """A run in progress: logs metrics, saves checkpoints and decides when to stop.
 
     In each step, PyTorch's global random numbers, such as those for dropout, are determined by the
-    seed and the step's number. The folder's files are described in `magical.runs.folder`.
+    seed and the step's number. The folder's files are described in `magical.runs`.
 
     Attributes:
         folder: the run folder.

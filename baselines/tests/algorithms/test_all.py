@@ -13,7 +13,7 @@ from baselines.tests.conftest import TASKS
 from baselines.tests.tiny_runs import assert_same, checkpoint, same_weights, tiny
 from magical.errors import InvalidConfigError, MagicalError
 from magical.evaluation import evaluate
-from magical.runs.sources import SOURCES
+from magical.runs import SOURCES
 from magical_baselines import Config, algorithm_names, find_algorithm, train
 from magical_baselines.config import DemonstrationConfig, options
 from magical_baselines.training import Purpose

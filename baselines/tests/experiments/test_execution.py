@@ -19,8 +19,7 @@ from baselines.tests.experiments.conftest import Inline, Planned, execute, score
 from magical.cli import main
 from magical.errors import PlacementError, ResultsError, WorkerDiedError
 from magical.evaluation import Evaluation, environments, read_entry
-from magical.runs import versions
-from magical.runs.machine import machine
+from magical.runs import machine, versions
 from magical_baselines import load_policy, read_config
 from magical_baselines import run as training
 from magical_baselines.experiments import estimate, execution, one_run

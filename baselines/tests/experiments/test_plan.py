@@ -184,7 +184,7 @@ def test_the_processes_of_a_plan_import_what_its_user_imported(
     tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setattr(plugins, "_imported_names", set())
+    monkeypatch.setattr(plugins, "_imported", {})
     (tmp_path / "net_of_plan.py").write_text(NETWORK)
     text = tiny.read_text().replace("seeds = [0, 1]", "seeds = [0]")
     text = text.replace("{ batches", '{ network = "net_of_plan:NETWORK", batches')

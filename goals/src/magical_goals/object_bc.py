@@ -17,7 +17,7 @@ from torch.nn import functional
 
 from magical.errors import InvalidConfigError
 from magical.observe.pixels import CHANNELS, STACK
-from magical.runs.sources import BENCHMARK_PRIOR, PARSER_SOURCES
+from magical.runs import BENCHMARK_PRIOR, PARSER_SOURCES
 from magical.scene.actions import MIRRORED_ACTIONS
 from magical.tasks import get_task
 from magical_baselines.compute import cpu_threads

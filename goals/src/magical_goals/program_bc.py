@@ -24,10 +24,10 @@ from torch import Tensor
 
 from magical.errors import CheckpointError, InvalidProgramError, RunFolderError
 from magical.evaluation.policy import Actions, Mask
+from magical.files import parse_json
 from magical.observe.pixels import STACK
 from magical.scene import NOOP
 from magical.scene.poses import ROBOT
-from magical.untrusted import parse_json
 from magical_baselines.config import Algorithm
 from magical_baselines.data import load_demonstrations
 from magical_baselines.policy import TrainedPolicy, load_policy, sample_actions, to_inputs

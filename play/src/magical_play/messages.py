@@ -10,8 +10,8 @@ from magical.envs import parse_env_id
 from magical.envs.keys import Control
 from magical.envs.seeds import FIRST_EVALUATION_SEED
 from magical.errors import MagicalError
+from magical.files import parse_json
 from magical.messages import quoted
-from magical.untrusted import parse_json
 
 MAX_BYTES = 1024  # of a message
 MAX_NAME = 100  # characters of a demonstrator's name
@@ -25,7 +25,7 @@ class MessageError(MagicalError, ValueError):
     """A message that is not in the documented format, or cannot be followed now."""
 
 
-class _Message(Struct, frozen=True, tag_field="type", tag=str.lower):
+class _Message(Struct, frozen=True, forbid_unknown_fields=True, tag_field="type", tag=str.lower):
     """A JSON object whose field `type` names the class."""
 
 

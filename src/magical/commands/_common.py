@@ -3,19 +3,18 @@
 import argparse
 import json
 import math
+import re
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from magical.errors import MagicalError
 from magical.messages import for_terminal, quoted
 
 FAILED, USAGE, INTERRUPTED = 1, 2, 130  # exit statuses
-
-Number = TypeVar("Number", int, float)
-Value = TypeVar("Value")
+NUMBER = re.compile(r"[-−+]?[\d.]*|nan")  # in a cell of a table
 
 
 class UsageError(MagicalError):
@@ -24,11 +23,16 @@ class UsageError(MagicalError):
 
 def add_json(parser: argparse.ArgumentParser) -> None:
     """Add `--json`: the last line of standard output is one JSON object."""
-    parser.add_argument(
-        "--json",
-        action="store_true",
-        help="print a JSON object as the last line of standard output",
-    )
+    meaning = "print a JSON object as the last line of standard output"
+    parser.add_argument("--json", action="store_true", help=meaning)
+
+
+def add_several(
+    parser: argparse.ArgumentParser, flag: str, meaning: str, metavar: str, **options: Any
+) -> None:
+    """Add an option with several values, which may be repeated; it gives one list."""
+    options = {"nargs": "+", "type": options.pop("kind", str), **options}
+    parser.add_argument(flag, action="extend", metavar=metavar, help=meaning, **options)
 
 
 def add_tasks(parser: argparse.ArgumentParser, default: str = "all") -> None:
@@ -37,68 +41,16 @@ def add_tasks(parser: argparse.ArgumentParser, default: str = "all") -> None:
     add_several(parser, "--task", meaning, "TASK", kind=task_name)
 
 
-def add_several(
-    parser: argparse.ArgumentParser,
-    flag: str,
-    meaning: str,
-    metavar: str,
-    *,
-    kind: Callable[[str], Any] = str,
-    **options: Any,
-) -> None:
-    """Add a repeatable option with several values; it gives a list of what `kind` returns."""
-    options |= {"metavar": metavar, "help": meaning}
-    parser.add_argument(flag, nargs="+", action="extend", type=kind, **options)
-
-
 def task_name(text: str) -> str:
     """A task's name; `module:TASK` is imported, and the name is that of the task."""
     if ":" not in text:
         return text
     from magical.tasks import load_task
 
-    return explained(load_task)(text).name
-
-
-def explained(parse: Callable[[str], Value]) -> Callable[[str], Value]:
-    """An argparse type from a function whose errors say what was expected."""
-
-    def parsed(text: str) -> Value:
-        try:
-            return parse(text)
-        except MagicalError as error:
-            raise argparse.ArgumentTypeError(str(error)) from error
-
-    return parsed
-
-
-def number(kind: type[Number], least: float, most: float = math.inf) -> Callable[[str], Number]:
-    """An argparse type: a finite number or an integer in a range that includes its ends."""
-    noun = "an integer" if kind is int else "a number"
-    allowed = f"of at least {least:g}" if most == math.inf else f"from {least:g} to {most:g}"
-
-    def parsed(text: str) -> Number:
-        with suppress(ValueError, OverflowError):
-            value = kind(text)
-            if least <= value <= most and math.isfinite(value):
-                return value
-        raise argparse.ArgumentTypeError(f"expected {noun} {allowed}, found {text!r}")
-
-    return parsed
-
-
-def add_count(
-    parser: argparse.ArgumentParser,
-    flag: str,
-    meaning: str,
-    *,
-    default: int | None = None,
-    least: int = 1,
-    metavar: str = "N",
-) -> None:
-    """Add an option whose value is an integer of at least `least`; the help states the default."""
-    kind, stated = number(int, least), "" if default is None else f" (default: {default})"
-    parser.add_argument(flag, type=kind, default=default, metavar=metavar, help=meaning + stated)
+    try:
+        return load_task(text).name
+    except MagicalError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
 
 
 def add_number(
@@ -107,12 +59,32 @@ def add_number(
     meaning: str,
     *,
     default: float | None = 0.0,
+    least: float = 0,
     most: float = math.inf,
+    kind: type[float] = float,
     metavar: str = "X",
 ) -> None:
-    """Add an option whose value is a number from 0 to `most`; the help states the default."""
-    kind, stated = number(float, 0, most), "" if default is None else f" (default: {default:g})"
-    parser.add_argument(flag, type=kind, default=default, metavar=metavar, help=meaning + stated)
+    """Add an option whose value is a finite number of a kind, in a range with its ends."""
+    noun = "an integer" if kind is int else "a number"
+    allowed = f"of at least {least:g}" if most == math.inf else f"from {least:g} to {most:g}"
+
+    def parsed(text: str) -> float:
+        with suppress(ValueError, OverflowError):
+            value = kind(text)
+            if least <= value <= most and math.isfinite(value):
+                return value
+        raise argparse.ArgumentTypeError(f"expected {noun} {allowed}, found {text!r}")
+
+    meaning += "" if default is None else f" (default: {default:g})"
+    parser.add_argument(flag, type=parsed, default=default, metavar=metavar, help=meaning)
+
+
+def add_count(
+    parser: argparse.ArgumentParser, flag: str, meaning: str, least: float = 1, **options: Any
+) -> None:
+    """Add an option whose value is an integer of at least `least`, by default `None`."""
+    options = {"default": None, "metavar": "N", **options}
+    add_number(parser, flag, meaning, least=least, kind=int, **options)
 
 
 def add_seed(parser: argparse.ArgumentParser, meaning: str) -> None:
@@ -134,15 +106,14 @@ def add_out(
     parser: argparse.ArgumentParser, meaning: str, metavar: str = "DIR", *, required: bool = False
 ) -> None:
     """Add `--out`, a path; one whose `metavar` begins with FILE must not be a folder."""
-    kind = file_path if metavar.startswith("FILE") else Path
-    parser.add_argument("--out", type=kind, required=required, metavar=metavar, help=meaning)
 
+    def parsed(text: str) -> Path:
+        if metavar.startswith("FILE") and Path(text).is_dir():
+            found = f"the folder {quoted(text)}"
+            raise argparse.ArgumentTypeError(f"expected a file, found {found}")
+        return Path(text)
 
-def file_path(text: str) -> Path:
-    """An argparse type: the path of a file, which need not exist."""
-    if Path(text).is_dir():
-        raise argparse.ArgumentTypeError(f"expected a file, found the folder {quoted(text)}")
-    return Path(text)
+    parser.add_argument("--out", type=parsed, required=required, metavar=metavar, help=meaning)
 
 
 def print_json(args: argparse.Namespace, result: Mapping[str, Any]) -> None:
@@ -151,22 +122,20 @@ def print_json(args: argparse.Namespace, result: Mapping[str, Any]) -> None:
         print(json.dumps(result))
 
 
-def plain_interval(interval: Iterable[float]) -> list[float | None]:
-    """A value and the ends of its interval for JSON; NaN becomes `None`."""
-    return [None if math.isnan(number) else number for number in interval]
-
-
 def log(message: str) -> None:
     """Print a message that is not the result, on standard error."""
     print(for_terminal(message), file=sys.stderr)
 
 
 def print_table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
-    """Print a table in aligned columns; columns of numbers are aligned to the right."""
-    cells = [[for_terminal(str(cell)) for cell in row] for row in rows]
-    widths = [max(map(len, column)) for column in zip(header, *cells, strict=True)]
-    columns = list(zip(*cells, strict=True)) or [()] * len(header)
-    numeric = [bool(column) and all(map(_is_number, column)) for column in columns]
+    """Print a table in aligned columns; columns of numbers are aligned to the right.
+
+    Floats are printed with three decimals, `None` as `-`, and lists with commas.
+    """
+    cells = [[for_terminal(_text(cell)) for cell in row] for row in rows]
+    columns = list(zip(header, *cells, strict=True))
+    widths = [max(map(len, column)) for column in columns]
+    numeric = [bool(cells) and all(map(NUMBER.fullmatch, column[1:])) for column in columns]
     for line in [list(header), ["-" * width for width in widths], *cells]:
         padded = [
             cell.rjust(width) if right else cell.ljust(width)
@@ -175,9 +144,13 @@ def print_table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> None
         print("  ".join(padded).rstrip())
 
 
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell.replace("−", "-") or "0")
-    except ValueError:
-        return False
-    return True
+def print_records(records: Sequence[Mapping[str, object]]) -> None:
+    """Print a table with a row for each record; all have the same keys."""
+    if records:
+        print_table(list(records[0]), [list(record.values()) for record in records])
+
+
+def _text(cell: object) -> str:
+    if isinstance(cell, list | tuple):
+        return ", ".join(map(str, cell))
+    return "-" if cell is None else f"{cell:.3f}" if isinstance(cell, float) else str(cell)

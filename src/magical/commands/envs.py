@@ -7,22 +7,16 @@ from magical.envs import all_env_ids
 from magical.observe import PRESETS
 from magical.tasks import importable_tasks
 
-HELP = "list tasks, variants and horizons"
-
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Describe the command's arguments."""
     add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the registry."""
-    ids = all_env_ids(presets=True)
-    tasks = importable_tasks()
+    ids, tasks = all_env_ids(presets=True), importable_tasks()
     rows = [(task.name, task.horizon, " ".join(task.variants)) for task in tasks]
     print_table(("task", "horizon", "variants"), rows)
-    print()
-    print("environment ids: magical/<task>-<variant>[-<preset>]-v0")
+    print("\nenvironment ids: magical/<task>-<variant>[-<preset>]-v0")
     print(f"presets: {' '.join(PRESETS)}")
     print(f"{len(all_env_ids())} environments, {len(ids)} ids, with and without presets")
     described = {

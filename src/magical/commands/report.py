@@ -8,73 +8,58 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from magical.commands._common import (
-    UsageError,
-    add_count,
-    add_json,
-    add_out,
-    add_several,
-    log,
-    print_json,
-    print_table,
-)
+from magical.commands import _common as common
+from magical.evaluation.loading import policy_of
+from magical.extras import require
+from magical.report.found import find_results
+from magical.report.page import FORMATS, all_tables, format_of, plain_rows, write_page
+from magical.report.table import matching_methods, rows_of
 
-HELP = "make a page of tables from evaluated runs"
 TITLE = "MAGICAL: results"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Describe the command's arguments."""
     parser.add_argument("folders", nargs="+", type=Path, metavar="DIR", help="folder with runs")
     meaning = (
         'rows of the published tables to show below, such as "BC (ST)" (default: those with the '
         "methods' names)"
     )
-    add_several(parser, "--published", meaning, "METHOD")
-    parser.add_argument("--title", help=f"title of the page (default: {TITLE})")
-    add_out(parser, "file to write the page to, or the tables in another --format", "FILE")
-    parser.add_argument(
-        "--format",
-        choices=("html", "csv", "markdown"),
-        help="format of FILE (default: by its suffix, .html, .csv or .md)",
-    )
-    add_count(
-        parser,
-        "--clips",
+    common.add_several(parser, "--published", meaning, "METHOD")
+    meaning = "title of the page (default: %(default)s)"
+    parser.add_argument("--title", default=TITLE, help=meaning)
+    meaning = "file to write the page to, or the tables in another --format"
+    common.add_out(parser, meaning, "FILE")
+    meaning = "format of FILE (default: by its suffix, .html, .csv or .md)"
+    parser.add_argument("--format", choices=("html", "csv", "markdown"), help=meaning)
+    meaning = (
         "show the best, median and worst rollouts of N runs, rerun with their policies "
-        "(default: none)",
+        "(default: none)"
     )
-    add_json(parser)
+    common.add_count(parser, "--clips", meaning)
+    common.add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Read, tabulate, print every table of the page as text, write the file."""
-    from magical.evaluation.loading import policy_of
-    from magical.extras import require
-    from magical.report.found import find_results
-    from magical.report.page import FORMATS, all_tables, format_of, plain_rows, write_page
-    from magical.report.table import matching_methods, rows_of
-
     if args.format and not args.out:
-        raise UsageError("--format needs --out FILE")
+        raise common.UsageError("--format needs --out FILE")
     kind = args.format or format_of(args.out) if args.out else None
     if args.clips and kind != "html":
-        raise UsageError("--clips needs a page (--out FILE.html)")
+        raise common.UsageError("--clips needs a page (--out FILE.html)")
     if kind == "html":
         require("report")
     found = find_results(args.folders)
     for item in found.skipped:
-        log(f"skipped {item.folder}: {item.reason}")
+        common.log(f"skipped {item.folder}: {item.reason}")
     rows = rows_of(found.entries)
     published = tuple(matching_methods(found.entries) if args.published is None else args.published)
     for table in all_tables(rows, published):
-        print_table(table.header, table.rows)
+        common.print_table(table.header, table.rows)
         print(f"{table.note}\n")
     notes: Sequence[str] = ()
     if kind == "html":
         notes = write_page(
             args.out,
-            args.title or TITLE,
+            args.title,
             found,
             published,
             load_policy=lambda result: policy_of(result.folder, result.entry, result.run),
@@ -83,9 +68,9 @@ def run(args: argparse.Namespace) -> int:
     elif kind:
         FORMATS[kind](found, published, args.out)
     if kind:
-        log(f"wrote {args.out}")
+        common.log(f"wrote {args.out}")
     for note in notes:
-        log(f"error: no rollouts of {note}")
+        common.log(f"error: no rollouts of {note}")
     skipped = [{"folder": str(item.folder), "reason": item.reason} for item in found.skipped]
-    print_json(args, {"rows": plain_rows(rows, published), "skipped": skipped})
+    common.print_json(args, {"rows": plain_rows(rows, published), "skipped": skipped})
     return int(bool(notes))

@@ -9,43 +9,33 @@ scoring rules are the same. This finds mistakes; it does not show that a policy 
 """
 
 import argparse
-import math
 from pathlib import Path
-from typing import TYPE_CHECKING
+from statistics import fmean
 
-from magical.commands._common import add_count, add_json, add_workers, print_json, print_table
+import numpy as np
+
+from magical.commands import _common as common
+from magical.evaluation import load_policy, read_entry
+from magical.evaluation.loading import policy_of, recorded_threads
+from magical.evaluation.verification import Verification, is_elsewhere, verify
 from magical.messages import decimals
-
-if TYPE_CHECKING:
-    from magical.evaluation.verification import Verification
-
-HELP = "rerun a sample of an entry's rollouts"
+from magical.runs import machine, versions
+from magical.tasks.axes import short_variant
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Describe the command's arguments."""
     parser.add_argument("entry", type=Path, metavar="ENTRY", help="folder of an evaluated run")
-    parser.add_argument(
-        "--policy",
-        metavar="POLICY",
-        help="the policy, as for evaluate (default: the one that the entry records)",
-    )
+    meaning = "the policy, as for evaluate (default: the one that the entry records)"
+    parser.add_argument("--policy", metavar="POLICY", help=meaning)
     meaning = "batches to rerun for each task, of up to 64 rollouts, or 10 on each variant"
-    add_count(parser, "--rounds", meaning, default=1)
-    add_count(parser, "--seed", "seed that selects the batches (default: random)", least=0)
-    add_workers(parser)
-    add_json(parser)
+    common.add_count(parser, "--rounds", meaning, default=1)
+    meaning = "seed that selects the batches (default: random)"
+    common.add_count(parser, "--seed", meaning, least=0)
+    common.add_workers(parser)
+    common.add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run again, compare, print; 1 if the scores are not confirmed."""
-    import numpy as np
-
-    from magical.evaluation import load_policy, read_entry
-    from magical.evaluation.loading import policy_of, recorded_threads
-    from magical.evaluation.verification import is_elsewhere, verify
-    from magical.runs.machine import machine, versions
-
     entry = read_entry(args.entry)
     policy = load_policy(args.policy) if args.policy else policy_of(args.entry, entry)
     with recorded_threads(policy, entry):
@@ -57,54 +47,37 @@ def run(args: argparse.Namespace) -> int:
             elsewhere=is_elsewhere(entry.record, machine(), versions()),
             workers=args.workers,
         )
-    _print(found)
+    rows = [
+        {
+            "task": env_id.task,
+            "variant": short_variant(env_id.variant),
+            "rollouts": len(part.recorded),
+            "equal": part.equal,
+            "recorded mean": fmean(row.score for row in part.recorded),
+            "mean now": fmean(row.score for row in part.again),
+        }
+        for env_id, part in found.by_environment().items()
+    ]
+    common.print_records(rows)
+    some = "all" if found.share == 1 else f"{len(found.recorded)} of"
+    chance = f": one altered score is found with probability {found.share:.2f}"
+    chance = chance if found.exact and found.share < 1 else ""
+    print(f"{some} {found.total} rollouts run again{chance}\n{_verdict(found)}")
     counts = {"rollouts": len(found.recorded), "total": len(entry.scores), "equal": found.equal}
-    print_json(args, {"confirmed": found.confirmed, **counts, "exact": found.exact})
+    common.print_json(args, {"confirmed": found.confirmed, **counts, "exact": found.exact})
     return 0 if found.confirmed else 1
 
 
-def _print(found: "Verification") -> None:
-    from magical.tasks.axes import short_variant
-
-    rows = [
-        (
-            env_id.task,
-            short_variant(env_id.variant),
-            len(part.recorded),
-            part.equal,
-            f"{sum(row.score for row in part.recorded) / len(part.recorded):.3f}",
-            f"{sum(row.score for row in part.again) / len(part.again):.3f}",
-        )
-        for env_id, part in found.by_environment().items()
-    ]
-    print_table(("task", "variant", "rollouts", "equal", "recorded mean", "mean now"), rows)
-    sample = f"{len(found.recorded)} of {found.total} rollouts run again"
-    if found.share == 1.0:
-        sample = f"all {len(found.recorded)} rollouts run again"
-    elif found.exact:
-        sample += f": one altered score is found with probability {found.share:.2f}"
-    print(f"{sample}\n{_verdict(found)}")
-
-
-def _verdict(found: "Verification") -> str:
+def _verdict(found: Verification) -> str:
+    verdict = "confirmed" if found.confirmed else "not confirmed"
     count = f"{found.equal} of {len(found.recorded)} rollouts have the recorded scores"
     if found.equal == len(found.recorded):
-        return f"confirmed: {count}"
+        return f"{verdict}: {count}"
     if found.exact:
-        return (
-            f"not confirmed: {count}; all should, unless a network acts and the entry states "
-            "another machine or other versions"
-        )
-    value, low, high = (decimals(number, 3, "+") for number in found.mean_changes()[0])
-    bounds = "" if math.isnan(found.mean_changes()[0].low) else f" ({low} to {high})"
-    change = f"{count}; the mean score changed by {value}{bounds}"
-    elsewhere = "the entry was evaluated on another machine or with other versions"
-    if found.confirmed:
-        return (
-            f"not contradicted: {change}, which chance can explain, as it can the changes in every "
-            f"environment; {elsewhere}, where single rollouts may differ"
-        )
+        return f"{verdict}: {count}; all should, unless the entry states other versions or machines"
+    change, low, high = (decimals(number, 3, "+") for number in found.mean_changes()[0])
     return (
-        f"not confirmed: {change}; this, or the change in an environment, is more than chance can "
-        f"explain, or rests on a single rollout; {elsewhere}"
+        f"{'not contradicted' if found.confirmed else verdict}: {count}; the mean score changed by "
+        f"{change} ({low} to {high}), where chance must explain this and the changes in every "
+        "environment: the entry was evaluated on another machine or with other versions"
     )

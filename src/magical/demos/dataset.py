@@ -28,12 +28,11 @@ from magical.demos.trajectory import ACTION_COLUMNS, VIEWS, Trajectory, without_
 from magical.envs.action_spec import ActionSpaceName
 from magical.envs.ids import EnvId, parse_env_id, split_env_id
 from magical.errors import DatasetError, MagicalError, TrajectoryError
-from magical.files import write_atomically
+from magical.files import MAX_BYTES, parse_json, write_atomically
 from magical.messages import printable, quoted
 from magical.scene import Dynamics, Scene
 from magical.tasks import get_task
 from magical.tasks.axes import full_variant
-from magical.untrusted import MAX_BYTES, parse_json
 
 SUFFIX = ".npz"
 MAX_FILE = 64 << 20  # bytes on disk; the largest human recording has 0.6 MB

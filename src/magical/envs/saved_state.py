@@ -8,12 +8,12 @@ from msgspec import Meta
 from numpy.typing import NDArray
 
 from magical.errors import InvalidStateError, MagicalError
+from magical.files import convert
 from magical.messages import quoted
 from magical.scene.constants import MAX_COORDINATE
 from magical.scene.poses import FIRST_BLOCK
 from magical.scene.scene import Dynamics, Scene
 from magical.tasks import MAX_HORIZON, Task
-from magical.untrusted import convert
 
 _Part = Annotated[float, Meta(ge=-1.0, le=1.0)]  # of an action
 _Number = Annotated[float, Meta(ge=-MAX_COORDINATE, le=MAX_COORDINATE)]

@@ -27,14 +27,12 @@ from magical.errors import MagicalError, ScoresError
 from magical.evaluation.policy import Policy, action_spec_of, observed
 from magical.evaluation.protocol import Evaluated, Evaluation
 from magical.evaluation.scores import HEADER, MAX_ROWS, RolloutScore, check_protocol, parse_rows
-from magical.files import reading, write_atomically, write_json
+from magical.files import convert, read_json, reading, write_atomically, write_json
 from magical.messages import quoted
 from magical.observe import STATE, Observation, parse_spec
-from magical.runs import provenance
-from magical.runs.sources import parse_source
+from magical.runs import parse_source, provenance
 from magical.tasks import parse_horizon
 from magical.tasks.horizons import APPENDIX
-from magical.untrusted import convert, read_json
 
 SCORES_FILE, ENTRY_FILE = "scores.csv", "entry.json"
 ROWS_FILE, ENTRIES_FILE = "scores.csv.gz", "entries.json"
@@ -51,7 +49,7 @@ class Record:
     """What a policy was made from, and what evaluated it; `None` or empty if not stated."""
 
     policy: Text = ""  # a run folder relative to the entry, or a policy's name
-    learned_from: tuple[Text, ...] | None = None  # terms of `magical.runs.sources.SOURCES`
+    learned_from: tuple[Text, ...] | None = None  # terms of `magical.runs.SOURCES`
     demonstrations: Text = ""  # how many and whose
     num_demos: Count | None = None  # of each task
     pretrained_on: tuple[Text, ...] = ()  # tasks

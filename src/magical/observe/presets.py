@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, TypeGuard
 
 from magical.errors import PluginError, UnknownNameError
+from magical.files import parse_json
 from magical.messages import quoted
 from magical.observe.pixels import STACK, PixelSpec
 from magical.observe.spec import ObservationSpec
@@ -16,7 +17,6 @@ from magical.plugins import is_plugin, load_plugin, plugins
 from magical.scene.constants import RAW_FRAME_SIZE
 from magical.scene.vocabulary import View
 from magical.tasks import Task
-from magical.untrusted import parse_json
 
 # What `observation=` accepts: a name, a specification, a mapping of PixelSpec's fields, or None.
 Observation = str | ObservationSpec | Mapping[str, Any] | None

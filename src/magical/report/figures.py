@@ -29,9 +29,7 @@ from magical.evaluation.statistics import Floats, Interval
 from magical.files import write_atomically
 from magical.render import render_frame
 from magical.report.found import Result, by_row
-from magical.runs.folder import CURVES
-from magical.runs.metrics import read_metrics
-from magical.runs.plan import in_words
+from magical.runs import CURVES, in_words, read_metrics
 from magical.scene import View
 from magical.scene.constants import CONTROL_RATE
 from magical.tasks import get_task

@@ -18,9 +18,7 @@ from magical.evaluation import BUILT_IN, Entry, RolloutScore, policy_names, read
 from magical.evaluation.entry import ENTRIES_FILE, ENTRY_FILE, SCORES_FILE, read_collection
 from magical.evaluation.protocol import ROLLOUTS, SEED, Evaluated
 from magical.grouping import group_by
-from magical.runs import is_run, read_json
-from magical.runs.folder import CONFIG
-from magical.runs.plan import PLAN, REFERENCES, RUNS, Listing, read_listing
+from magical.runs import CONFIG, PLAN, REFERENCES, RUNS, Listing, is_run, read_json, read_listing
 from magical.tasks.horizons import APPENDIX, PUBLISHED
 
 TELLING = 20  # rollouts whose score is not the most frequent one: enough to identify a run

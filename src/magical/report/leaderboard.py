@@ -25,8 +25,7 @@ from magical.report.table import (
     rows_of,
     with_conditions,
 )
-from magical.runs.plan import file_name
-from magical.runs.sources import BENCHMARK_PRIOR, EXTRA_DATA, SOURCES, TRACKS, track_of
+from magical.runs import BENCHMARK_PRIOR, EXTRA_DATA, SOURCES, TRACKS, file_name, track_of
 from magical.tasks import TASKS, get_task, suites
 from magical.tasks.axes import DEMO, TEST_ALL, short_variant
 from magical.tasks.horizons import APPENDIX

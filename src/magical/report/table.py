@@ -41,7 +41,7 @@ from magical.evaluation.statistics import (
 from magical.grouping import group_by
 from magical.messages import decimals
 from magical.report.found import by_row
-from magical.runs.sources import track_of
+from magical.runs import track_of
 from magical.tasks import Task, get_task
 from magical.tasks.axes import SHORT_VARIANTS, full_variant, short_variant
 

@@ -16,7 +16,6 @@ from magical.plugins import (
     family_of,
     import_user_module,
     is_offered,
-    load_family,
     load_plugin,
     plugins,
 )
@@ -79,7 +78,7 @@ def suites() -> dict[str, tuple[str, ...]]:
     """The suites of the installed families of tasks: names of tasks, by the suite's name."""
     found: dict[str, tuple[str, ...]] = {}
     for pattern in families(GROUP):
-        if isinstance(family := load_family(GROUP, pattern), TaskFamily):
+        if isinstance(family := load_plugin(GROUP, pattern), TaskFamily):
             found.update(family.suites)
     return found
 

@@ -32,7 +32,7 @@ from magical.errors import InvalidConfigError, RunFolderError
 from magical.evaluation import environments
 from magical.evaluation.policy import Policy
 from magical.experts import EpisodeExpert, expert_for, get_planner, strategy_seed
-from magical.runs.sources import EXPERT_LABELS, INTERACTION, TEST_VARIANTS
+from magical.runs import EXPERT_LABELS, INTERACTION, TEST_VARIANTS
 from magical.scene import Dynamics
 from magical.tasks.axes import full_variant, short_variant
 from magical_baselines.algorithms.bc import BCConfig, BCTrainer, make_policy

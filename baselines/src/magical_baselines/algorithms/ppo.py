@@ -20,7 +20,7 @@ from torch import Tensor
 from magical.envs.env import REWARDS, Reward
 from magical.errors import InvalidConfigError
 from magical.observe import STATE
-from magical.runs.sources import SCORE
+from magical.runs import SCORE
 from magical.tasks import Horizon, have_two_horizons, require_two_horizons
 from magical_baselines.augmentation.augment import to_unit
 from magical_baselines.compute import ReplayedStep

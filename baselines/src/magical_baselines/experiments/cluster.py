@@ -13,7 +13,7 @@ from ray import exceptions
 
 from magical.errors import ClusterError
 from magical.messages import printable
-from magical.runs.plan import RESULT
+from magical.runs import RESULT
 from magical.tasks import load_tasks
 from magical_baselines.experiments.one_run import Planned, finish, modules_needed
 from magical_baselines.experiments.plan import PlannedRun

@@ -19,17 +19,17 @@ from typing import TYPE_CHECKING, Any
 from filelock import FileLock, Timeout
 
 from magical.errors import ClusterError, ResultsError, WorkerDiedError
-from magical.files import LOCK, is_out_of_space
+from magical.files import LOCK
 from magical.messages import for_terminal
 from magical.processes import available_cores
-from magical.runs.folder import CONFIG, differences, is_run, read_json, write_json
-from magical.runs.plan import PLAN, REFERENCES, RUNS
+from magical.runs import CONFIG, PLAN, REFERENCES, RUNS, is_run, read_json, write_json
 from magical_baselines.compute import visible_gpus
 from magical_baselines.experiments import one_run
 from magical_baselines.experiments.demonstrations import prepare_demonstrations
 from magical_baselines.experiments.one_run import NO_SPACE, Planned, modules_needed, write_failure
 from magical_baselines.experiments.plan import PlannedReference, PlannedRun
 from magical_baselines.experiments.status import DEMOS, DONE, FAILED, read_result
+from magical_baselines.run_folder import differences, is_out_of_space
 from magical_baselines.training import Interrupts
 
 if TYPE_CHECKING:

@@ -19,16 +19,14 @@ from magical.evaluation import BUILT_IN, Entry, read_entry
 from magical.evaluation.entry import record_of
 from magical.evaluation.protocol import Evaluation
 from magical.evaluation.rollouts import modules_for, roll_out
-from magical.files import is_out_of_space
 from magical.messages import printable
-from magical.runs.folder import write_json
-from magical.runs.machine import provenance, source_commit
-from magical.runs.plan import RESULT
+from magical.runs import RESULT, provenance, source_commit, write_json
 from magical.tasks import load_tasks
 from magical_baselines import is_run, load_policy, train
 from magical_baselines.config import DemonstrationConfig, modules_of
 from magical_baselines.experiments.plan import PlannedReference, PlannedRun
 from magical_baselines.experiments.status import DONE, FAILED, lock_of
+from magical_baselines.run_folder import is_out_of_space
 
 MAX_ERROR, MAX_TRACEBACK = 2_000, 20_000  # characters that are recorded
 NO_SPACE = errno.ENOSPC  # exit status of a process: the disk is full

@@ -20,12 +20,12 @@ from magical.evaluation.noise import checked_noise
 from magical.evaluation.protocol import ROLLOUTS, Evaluation, environments
 from magical.experts import get_planner
 from magical.experts.noise import check_share
+from magical.files import read_toml
 from magical.messages import quoted
 from magical.plugins import require_imported
-from magical.runs.plan import ListedRun, file_name
+from magical.runs import ListedRun, file_name
 from magical.tasks import TASKS, load_task, parse_horizon
 from magical.tasks.axes import full_variant
-from magical.untrusted import read_toml
 from magical_baselines import Config, find_algorithm
 from magical_baselines.config import DemonstrationConfig, options, references
 

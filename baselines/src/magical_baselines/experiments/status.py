@@ -8,11 +8,10 @@ from typing import Any
 
 from magical.errors import MagicalError, ResultsError
 from magical.evaluation.entry import ENTRY_FILE
-from magical.files import LOCK, is_locked
+from magical.files import LOCK, read_json
 from magical.messages import printable, quoted
-from magical.runs.metrics import read_metrics
-from magical.runs.plan import PLAN, REFERENCES, RESULT, RUNS, ListedRun, read_listing
-from magical.untrusted import read_json
+from magical.runs import PLAN, REFERENCES, RESULT, RUNS, ListedRun, read_listing, read_metrics
+from magical_baselines.run_folder import is_locked
 
 DEMOS = "demos"  # in the results folder, as is `LOCK`
 DONE, FAILED = "done", "failed"  # states in `result.json`

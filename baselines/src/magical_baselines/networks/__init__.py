@@ -2,7 +2,7 @@
 
 Each file defines `NETWORK`, an `Architecture`. Other distributions provide an object or a module
 like it through entry points of the group `magical.networks`. Any other is named by `module:NAME`.
-One that was made from more than a run's data has `LEARNED_FROM`, terms of `magical.runs.sources`.
+One that was made from more than a run's data has `LEARNED_FROM`, terms of `magical.runs`.
 
 `magical_baselines.models.Trunk` puts the parts together and adds what all architectures share: the
 action input of discriminators, and linear layers only for state vectors.
