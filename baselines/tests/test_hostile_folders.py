@@ -22,7 +22,7 @@ from magical.runs import read_metrics
 from magical.runs.folder import CHECKPOINT, CONFIG, METRICS, RECORD
 from magical_baselines import load_policy, read_config, train
 from magical_baselines.algorithms.bc import BCConfig
-from magical_baselines.checkpoints import load_checkpoint, save_checkpoint
+from magical_baselines.training import load_checkpoint, save_checkpoint
 
 ODD: tuple[Any, ...] = (None, True, -1, 10**400, 1e308, "", "x" * 10_000, [], {}, [[]], {"a": 1})
 

@@ -30,8 +30,7 @@ from magical.runs import read_metrics
 from magical.runs.folder import CHECKPOINT, METRICS, opened_folder
 from magical_baselines import load_policy, train
 from magical_baselines.algorithms.bc import BCConfig
-from magical_baselines.checkpoints import load_checkpoint, save_checkpoint
-from magical_baselines.training import Run, prefetch
+from magical_baselines.training import Run, load_checkpoint, prefetch, save_checkpoint
 
 CONFIGURATION = BCConfig.preset("paper", tasks=("MoveToCorner",), demos="demos")
 

@@ -7,9 +7,9 @@ from torch import Tensor
 
 from magical.runs.folder import CHECKPOINT
 from magical_baselines import Config
-from magical_baselines.checkpoints import load_checkpoint
 from magical_baselines.compute import Compute
 from magical_baselines.config import options
+from magical_baselines.training import load_checkpoint
 
 AnyConfig = TypeVar("AnyConfig", bound=Config)
 CPU = Compute("cpu", "float32")

@@ -21,9 +21,8 @@ from magical.errors import DemonstrationsError, TrajectoryError
 from magical.observe import ObservationSpec
 from magical.observe.arrays import stack_indices
 from magical.scene import NOOP
-from magical_baselines.checkpoints import StateDict
 from magical_baselines.config import DemonstrationConfig
-from magical_baselines.training import Purpose, Run, stream
+from magical_baselines.training import Purpose, Run, StateDict, stream
 
 Rows = NDArray[np.int64]  # (B,) numbers of samples, frames, tasks
 TaskTrajectories = tuple[tuple[str, Trajectory], ...]  # each with the name of its task

@@ -16,7 +16,6 @@ from magical.evaluation.policy import Actions, Mask
 from magical.observe import ObservationSpec
 from magical.runs.folder import CHECKPOINT, RECORD, read_json
 from magical_baselines.augmentation.augment import to_unit
-from magical_baselines.checkpoints import load_checkpoint, restoring
 from magical_baselines.compute import (
     Compute,
     choose_device,
@@ -25,6 +24,7 @@ from magical_baselines.compute import (
     read_compute,
 )
 from magical_baselines.config import Config, find_algorithm, read_config
+from magical_baselines.training import load_checkpoint, restoring
 
 
 class TrainedPolicy:

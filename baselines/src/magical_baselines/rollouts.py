@@ -25,11 +25,10 @@ from magical.runs.sources import INTERACTION
 from magical.scene import NUM_ACTIONS
 from magical.tasks import Horizon, get_task
 from magical_baselines.augmentation.augment import to_unit
-from magical_baselines.checkpoints import StateDict
 from magical_baselines.config import NonNegativeInt, PaperNetworkConfig, PositiveInt, option
 from magical_baselines.models import PolicyNetwork, sample_actions
 from magical_baselines.policy import NetworkPolicy
-from magical_baselines.training import Purpose, Run, stream
+from magical_baselines.training import Purpose, Run, StateDict, stream
 
 Forward = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]  # -> logits (B, 18), values (B,)
 EpisodeScores = tuple[tuple[int, float], ...]  # task and score of each episode that ended

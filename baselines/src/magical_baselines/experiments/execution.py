@@ -128,12 +128,12 @@ def execute(
     """Finish all runs that are not done yet, in a results folder; `executor` is closed.
 
     Args:
-        runs: the runs of a plan.
+        runs: the runs of a plan; with `retry_failed`, failed ones go on from their checkpoints.
         out: the results folder, new or of an earlier version of the plan.
         executor: where they are executed.
         references: the plan's reference policies.
         workers: processes that generate demonstrations.
-        retry_failed: run failed runs again; they continue from their last checkpoint.
+        retry_failed: see `runs`.
         command: the words of the command that does this, but for the folder, for `magical status`.
 
     Returns:
