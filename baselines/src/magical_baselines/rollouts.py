@@ -2,7 +2,7 @@
 
 import time
 from collections import deque
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import Any, Self
@@ -324,7 +324,9 @@ class Monitor:
         """
         found: Metrics = {f"{part}_seconds": spent for part, spent in self._seconds.items()}
         if self._recent:
-            found["score"] = mean_by_task(self._recent)
+            tasks = {task for task, _ in self._recent}
+            each = [np.mean([score for t, score in self._recent if t == task]) for task in tasks]
+            found["score"] = float(np.mean(each))  # over the tasks
         symptoms = {"one action": self._one_action}
         if accuracy is not None:
             symptoms["discriminator at chance"] = abs(accuracy - CHANCE) <= NEAR_CHANCE
@@ -341,20 +343,6 @@ class Monitor:
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         self._recent.extend((int(task), score) for task, score in state["recent"])
         self._counts = {name: int(count) for name, count in state["collapse"].items()}
-
-
-def mean_by_task(scores: Collection[tuple[int, float]]) -> float:
-    """The mean over tasks of each task's mean score."""
-    tasks = {task for task, _ in scores}
-    means = [np.mean([score for t, score in scores if t == task]) for task in tasks]
-    return float(np.mean(means))
-
-
-def explained_variance(values: Tensor, returns: Tensor) -> float:
-    """1 - Var[returns - values] / Var[returns], both (B,); 0 if the returns do not vary."""
-    variance = returns.var(correction=0)
-    residual = (returns - values).var(correction=0)
-    return (1.0 - residual / variance).item() if variance > 0 else 0.0
 
 
 class InteractionTrainer:

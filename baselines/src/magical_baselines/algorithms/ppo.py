@@ -41,7 +41,6 @@ from magical_baselines.rollouts import (
     RewardNormaliser,
     Rollout,
     collect_rollout,
-    explained_variance,
     shuffle_evenly,
 )
 from magical_baselines.training import (
@@ -266,12 +265,14 @@ class PPOTrainer(InteractionTrainer):
                 for rows in torch.split(order, config.minibatch_size):
                     minibatch = (part[rows] for part in samples)
                     averages.add(len(rows), **self._replayed(self._step, clip_range, *minibatch))
+        variance = returns.var(correction=0)
+        residual = (returns - rollout.values).var(correction=0)
         return {
             **metrics,
             "reward": rewards.mean().item(),
             "reward_std": rewards.std(correction=0).item(),
             **averages.reset(),
-            "explained_variance": explained_variance(rollout.values.flatten(), samples.returns),
+            "explained_variance": (1.0 - residual / variance).item() if variance > 0 else 0.0,
         }
 
     def _step(self, clip_range: Tensor, *samples: Tensor) -> dict[str, Tensor]:
