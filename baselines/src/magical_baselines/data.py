@@ -21,6 +21,8 @@ from magical.errors import DemonstrationsError, TrajectoryError
 from magical.observe import ObservationSpec
 from magical.observe.arrays import stack_indices
 from magical.scene import NOOP
+from magical_baselines.augmentation.augment import augment
+from magical_baselines.augmentation.names import Augmentations
 from magical_baselines.config import DemonstrationConfig
 from magical_baselines.training import Purpose, Run, StateDict, stream
 
@@ -153,6 +155,12 @@ class ExpertData:
         chosen = windows[:, 1:] if following else windows[:, :-1]
         return stack_frames(self.frames, self._spec, chosen)
 
+    def augmented(
+        self, rows: Rows, which: Augmentations, rng: np.random.Generator, together: int = 1
+    ) -> Tensor:
+        """Augmented frame stacks (B, C, H, W) of samples; see `augment`."""
+        return augment(self.images(rows), which, rng, together)
+
     def neighbours(self, rows: Rows, offsets: Rows) -> tuple[Rows, NDArray[np.bool_]]:
         """Samples at offsets (K,) from the given ones, and whether each exists: both (B, K).
 
@@ -240,6 +248,12 @@ class Transitions(NamedTuple):
     next_observations: Tensor  # (B, ...), s': at the end of an episode its final observation
     ends: Tensor  # (B,) bool, whether the time limit ends the episode with s'
     tasks: Tensor  # (B,) int64, positions in the configuration's tasks
+
+    def augmented(self, which: Augmentations, rng: np.random.Generator) -> "Transitions":
+        """With augmented images, those of s and of s' independently."""
+        before = augment(self.observations, which, rng)
+        after = augment(self.next_observations, which, rng)
+        return self._replace(observations=before, next_observations=after)
 
 
 def expert_transitions(

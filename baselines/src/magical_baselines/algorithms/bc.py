@@ -13,7 +13,6 @@ from torch.optim import SGD, Adam
 from magical.errors import InvalidConfigError
 from magical.observe import STATE
 from magical_baselines.algorithms.cloning import Cloning
-from magical_baselines.augmentation.augment import augment
 from magical_baselines.config import (
     IMAGE_OBSERVATIONS,
     Algorithm,
@@ -86,7 +85,7 @@ def sample_batch(config: BCConfig, data: ExpertData, rng: np.random.Generator) -
     actions, tasks = data.labels(rows)
     if config.observes_vectors:
         return Batch(data.images(rows), actions, tasks)
-    images = augment(data.images(rows), config.augmentations(config.augment), rng)
+    images = data.augmented(rows, config.augmentations(config.augment), rng)
     return Batch(images, actions, tasks)
 
 

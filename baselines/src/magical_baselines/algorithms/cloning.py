@@ -13,7 +13,6 @@ from torch.optim import AdamW, Optimizer
 from magical.errors import InvalidConfigError
 from magical.evaluation.policy import Actions, Mask
 from magical.scene.actions import NUM_ACTIONS, PARTS
-from magical_baselines.augmentation.augment import augment
 from magical_baselines.config import (
     NetworkConfig,
     PositiveFloat,
@@ -22,7 +21,8 @@ from magical_baselines.config import (
     augment_option,
     option,
 )
-from magical_baselines.data import ExpertData, TaskTrajectories, load_demonstrations
+from magical_baselines.data import ExpertData as ExpertData
+from magical_baselines.data import TaskTrajectories, load_demonstrations
 from magical_baselines.policy import TrainedPolicy, choose_actions
 from magical_baselines.training import Purpose, Run, anneal, fit, gradient_step, stream
 
@@ -157,7 +157,7 @@ def sample_chunks(config: ChunkConfig, data: ExpertData, rng: np.random.Generato
     was executed, as in perturbed demonstrations, the rest of the chunk is unknown.
     """
     rows = data.sample(config.batch_size, rng)
-    images = augment(data.images(rows), config.augmentations(config.augment), rng)
+    images = data.augmented(rows, config.augmentations(config.augment), rng)
     chosen, exist = data.neighbours(rows, np.arange(config.chunk))
     actions, tasks = data.labels(chosen)
     masks = np.stack([exist, ~exist & data.is_last[chosen]])

@@ -38,7 +38,6 @@ import torch
 from torch import Tensor
 
 from magical.errors import InvalidConfigError
-from magical_baselines.augmentation.augment import augment
 from magical_baselines.config import (
     Algorithm,
     DemonstrationConfig,
@@ -173,11 +172,11 @@ def train(config: IQLearnConfig, run: Run) -> None:
                     counts = split_evenly(config.batch_size // 2, len(config.tasks), rng)
                     halves = expert_transitions(expert, counts, rng), novice.sample(counts, rng)
                     batch = Transitions(*map(torch.cat, zip(*halves, strict=True)))
-                    before = augment(batch.observations, augmentations, rng)
-                    after = augment(batch.next_observations, augmentations, rng)
+                    batch = batch.augmented(augmentations, rng)
+                    following = target if every else network  # whose value V(s') is
                     with run.compute.autocast():
-                        q = network.q(before, batch.tasks)
-                        next_q = (target if every else network).q(after, batch.tasks)
+                        q = network.q(batch.observations, batch.tasks)
+                        next_q = following.q(batch.next_observations, batch.tasks)
                     next_values = soft_value(next_q, config.temperature)
                     loss, parts = iq_loss(q, next_values, batch, config)
                     gradient_step(optimizer, loss)

@@ -25,10 +25,14 @@ from torch.nn import functional
 
 from magical.evaluation.policy import Actions, Mask
 from magical.scene import NOOP, NUM_ACTIONS
-from magical_baselines.algorithms.cloning import QUICK, SequenceConfig, fit_sequences, masked_mean
-from magical_baselines.augmentation.augment import augment
+from magical_baselines.algorithms.cloning import (
+    QUICK,
+    ExpertData,
+    SequenceConfig,
+    fit_sequences,
+    masked_mean,
+)
 from magical_baselines.config import Algorithm, PositiveInt, option
-from magical_baselines.data import ExpertData
 from magical_baselines.models import TaskLinear, Trunk
 from magical_baselines.policy import TrainedPolicy, choose_actions
 from magical_baselines.training import Run, seeded_init
@@ -143,7 +147,7 @@ def sample_windows(
     ends = data.sample(config.batch_size, rng)
     rows, exist = data.neighbours(ends, np.arange(1 - config.window, 1))
     names = config.augmentations(config.augment)
-    images = augment(data.images(rows.ravel()), names, rng, together=config.window)
+    images = data.augmented(rows.ravel(), names, rng, together=config.window)
     actions, tasks = data.labels(rows)
     previous, has_previous = data.neighbours(rows.ravel(), np.array([-1]))
     before = data.executed[torch.from_numpy(previous[:, 0]).to(data.device)]
