@@ -15,7 +15,7 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
-from magical.errors import RunFolderError
+from magical.errors import MagicalError, RunFolderError
 from magical.files import LOCK, write_atomically, write_json
 from magical.messages import printable, quoted
 from magical.runs import (
@@ -59,7 +59,7 @@ def opened_folder(path: Path, config: Mapping[str, Any], resume: bool) -> Iterat
     if new and existed and not (path.is_dir() and {f.name for f in path.iterdir()} <= {LOCK}):
         found = "other things in it" if path.is_dir() else "a file"
         raise RunFolderError(f"{path}: expected a new or an empty folder, found {found}")
-    with _owned(path):
+    with owned(path, RunFolderError, "trains this run"):
         if not new:
             for name in (CONFIG, RECORD, METRICS, CHECKPOINT, CURVES):
                 for partial in path.glob(f".{name}.*.part"):  # of a process that was killed
@@ -108,20 +108,23 @@ def differences(wanted: Mapping[str, Any], found: Mapping[str, Any]) -> str:
 
 
 @contextmanager
-def _owned(folder: Path) -> Iterator[None]:
-    """Hold the lock of a folder, which is created; it ends with the process, however that ends."""
+def owned(folder: Path, error: type[MagicalError], use: str) -> Iterator[None]:
+    """Hold the lock of a folder, which is created; it ends with the process, however that ends.
+
+    Raises `error` if the lock is held elsewhere, by a process that does `use`, or the disk is full.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     try:
         with FileLock(folder / LOCK, timeout=0.1):
             yield
     except Timeout as problem:
-        raise RunFolderError(
-            f"{folder}: another process already trains this run; wait for it to end, or stop it"
+        raise error(
+            f"{folder}: another process already {use}; wait for it to end, or stop it"
         ) from problem
     except OSError as problem:
         if not is_out_of_space(problem):
             raise
-        raise RunFolderError(
+        raise error(
             f"{folder}: no space left on the device. Finished files are intact: free some space, "
             "then run the same command again, with --resume if the run has begun"
         ) from problem

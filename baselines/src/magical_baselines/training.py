@@ -1,45 +1,58 @@
-"""What every algorithm trains with: random streams, the run in progress, the supervised loop.
+"""What every algorithm trains with: random streams, checkpoints, the run, the supervised loop.
 
 A generator is a pure function of the run's seed, its purpose and a number, so no generator state
 has to be saved, and batches can be prepared ahead: batch 1,000 is the same whether or not the run
 was resumed at 999.
+
+A checkpoint is one safetensors file for the states of a run's parts, written atomically. Tensors
+are stored as such; everything else (optimiser settings, counters, environment states) as JSON in
+the header of the same file, so that one rename replaces both. Nothing is unpickled.
 """
 
+import json
 import math
 import signal
 import threading
 import time
+import zlib
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, closing, contextmanager
 from dataclasses import asdict
 from enum import IntEnum
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Self, TypeVar
+from typing import Any, Protocol, Self, TypeVar
 
 import numpy as np
 import torch
+from safetensors import SafetensorError
+from safetensors.torch import load, save
 from torch import Tensor, nn
 from torch.optim import Optimizer
 
-from magical.errors import DivergedError, InvalidConfigError, RunFolderError
-from magical.messages import quoted
-from magical.runs import CHECKPOINT, RECORD, read_json, write_json
-from magical_baselines.checkpoints import (
-    StateDict,
-    Stateful,
-    load_checkpoint,
-    load_state,
-    restoring,
-    save_checkpoint,
-    state_of,
+from magical.errors import (
+    CheckpointError,
+    CheckpointMismatchError,
+    DivergedError,
+    InvalidConfigError,
+    MagicalError,
+    RunFolderError,
 )
+from magical.files import read_bounded, reading, write_atomically
+from magical.messages import printable, quoted
+from magical.runs import CHECKPOINT, RECORD, read_json, write_json
 from magical_baselines.compute import Compute, choose_compute, choose_device, read_compute
 from magical_baselines.config import CHECKPOINT_SECONDS, Config, SupervisedConfig
 from magical_baselines.run_folder import MetricsWriter
 
+StateDict = dict[str, Any]  # dicts with string keys, lists, tensors, and what JSON can hold
+
+_TENSOR = "__tensor__"
+_HEADER = "state"  # the key in the header
+MAX_BYTES = 1 << 34  # of a file
+_LENGTH = 8  # bytes at the start of a file: its header's length, little-endian
 Metrics = Mapping[str, float | str]
 Callback = Callable[[int, Metrics], object]  # step, metrics
 T = TypeVar("T")
@@ -47,9 +60,6 @@ T = TypeVar("T")
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 SAVING_SHARE = 0.05  # of training time is for saving checkpoints, at most
 DEPTH = 2  # batches ahead of the one in use
-
-# Guards PyTorch's global generator: while one thread initialises a network, runs in others wait.
-_lock = threading.RLock()
 
 
 class Purpose(IntEnum):
@@ -76,10 +86,9 @@ def seed_torch(seed: int, purpose: Purpose, number: int = 0) -> None:
     """Seed PyTorch's global generators, of the CPU and the GPUs, from a stream."""
     value = int(stream(seed, purpose, number).integers(2**63))
     # `torch.manual_seed` also records its call stack for each kind of device not in use.
-    with _lock:
-        torch.default_generator.manual_seed(value)
-        if torch.cuda.is_available():
-            torch.cuda.manual_seed_all(value)
+    torch.default_generator.manual_seed(value)
+    if torch.cuda.is_available():
+        torch.cuda.manual_seed_all(value)
 
 
 def restored_generators(device: str = "cpu") -> AbstractContextManager[None]:
@@ -91,7 +100,7 @@ def restored_generators(device: str = "cpu") -> AbstractContextManager[None]:
 @contextmanager
 def seeded_init(seed: int, number: int = 0) -> Iterator[None]:
     """Context manager in which PyTorch initialises network `number` from the seed."""
-    with _lock, restored_generators():
+    with restored_generators():
         seed_torch(seed, Purpose.INIT, number)
         yield
 
@@ -125,9 +134,6 @@ class Averages:
     """Weighted means of metrics since the last reset; sums stay on the metrics' device."""
 
     def __init__(self) -> None:
-        self._clear()
-
-    def _clear(self) -> None:
         self._sums: dict[str, Tensor] = {}
         self._weights: dict[str, int] = {}
         self._start = time.perf_counter()
@@ -148,15 +154,12 @@ class Averages:
         if speed_of:
             seconds = time.perf_counter() - self._start
             means["samples_per_second"] = self._weights[speed_of] / seconds
-        self._clear()
+        self._sums, self._weights, self._start = {}, {}, time.perf_counter()
         return means
 
 
 class Interrupts:
-    """Context manager: the first Ctrl-C or SIGTERM sets `seen`, a second interrupts the program.
-
-    In a program that embeds Python, signals whose handlers were not set from Python are left alone.
-    """
+    """Context manager: the first Ctrl-C or SIGTERM sets `seen`, a second interrupts the program."""
 
     def __init__(self) -> None:
         self.seen = False
@@ -164,8 +167,7 @@ class Interrupts:
 
     def __enter__(self) -> Self:
         if threading.current_thread() is threading.main_thread():  # only it may set handlers
-            ours = [number for number in SIGNALS if signal.getsignal(number) is not None]
-            self._before = {number: signal.signal(number, self._note) for number in ours}
+            self._before = {number: signal.signal(number, self._note) for number in SIGNALS}
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -176,6 +178,129 @@ class Interrupts:
         if self.seen:
             raise KeyboardInterrupt
         self.seen = True
+
+
+class Stateful(Protocol):
+    """What a checkpoint can hold, such as a module or an optimiser."""
+
+    def state_dict(self) -> StateDict:
+        """The state that the next step depends on."""
+
+    def load_state_dict(self, state: Any, /) -> Any:
+        """Restore what `state_dict` returned."""
+
+
+def save_checkpoint(path: Path, state: StateDict) -> None:
+    """Write nested dicts and lists of tensors and plain values; raises `OSError`.
+
+    An older file at `path` stays intact until the new one is complete.
+    """
+    tensors: dict[str, Tensor] = {}
+    plain = _take_tensors(state, "", tensors)
+    stored: set[int] = set()
+    for name, tensor in tensors.items():
+        memory = tensor.untyped_storage().data_ptr()
+        if memory in stored:  # safetensors refuses shared memory
+            tensors[name] = tensor.clone()
+        stored.add(memory)
+    with write_atomically(path) as file:
+        file.write(save(tensors, metadata={_HEADER: json.dumps(plain)}))
+
+
+def load_checkpoint(path: Path) -> StateDict:
+    """Read what `save_checkpoint` wrote.
+
+    Raises:
+        CheckpointError: the file is missing or no safetensors file.
+        CheckpointMismatchError: it is a safetensors file, but not a checkpoint.
+    """
+    with reading(path, CheckpointError):
+        data = read_bounded(path, MAX_BYTES)
+    with restoring(path):
+        try:
+            tensors = load(data)
+        except SafetensorError as error:
+            raise CheckpointError(
+                f"checkpoint {path} is damaged: expected a safetensors file, found {error}; "
+                "restore it from a copy, or train again"
+            ) from error
+        length = int.from_bytes(data[:_LENGTH], "little")
+        metadata = json.loads(data[_LENGTH : _LENGTH + length])["__metadata__"]
+        state: StateDict = _put_tensors(json.loads(metadata[_HEADER]), tensors)
+        if not isinstance(state, dict):
+            raise TypeError(f"expected a dict, found {type(state).__name__}")
+    return state
+
+
+@contextmanager
+def restoring(path: Path) -> Iterator[None]:
+    """Context manager for restoring state that was read from a checkpoint or a folder with one.
+
+    Raises:
+        CheckpointMismatchError: the state does not fit: it is of another network or program.
+    """
+    try:
+        yield
+    except MagicalError:
+        raise
+    except (
+        *(AttributeError, IndexError, KeyError, OverflowError, RecursionError, RuntimeError),
+        *(SafetensorError, TypeError, ValueError, zlib.error),
+    ) as error:
+        raise CheckpointMismatchError(
+            f"{path}: the checkpoint is of another network or program; continue with the code that "
+            f"saved it, or train again: {type(error).__name__}: {printable(str(error))}"
+        ) from error
+
+
+def state_of(part: Stateful) -> StateDict:
+    """The state dict of a part, with string keys."""
+    state = part.state_dict()
+    if isinstance(part, Optimizer):
+        return {**state, "state": {str(index): kept for index, kept in state["state"].items()}}
+    return state
+
+
+def load_state(part: Stateful, state: Mapping[str, Any]) -> None:
+    """Restore what `state_of` returned.
+
+    An optimiser's moments get the memory layout of their parameters, so that arithmetic stays
+    bit-equal.
+    """
+    if isinstance(part, Optimizer):
+        parameters = [p for group in part.param_groups for p in group["params"]]
+        moments = {
+            int(index): {
+                name: torch.empty_like(parameters[int(index)]).copy_(value)
+                if isinstance(value, Tensor) and value.shape == parameters[int(index)].shape
+                else value
+                for name, value in kept.items()
+            }
+            for index, kept in state["state"].items()
+        }
+        state = {"state": moments, "param_groups": state["param_groups"]}
+    part.load_state_dict(state)
+
+
+def _take_tensors(node: Any, name: str, tensors: dict[str, Tensor]) -> Any:
+    if isinstance(node, Tensor):
+        tensors[name] = node.detach().cpu().contiguous()
+        return {_TENSOR: name}
+    if isinstance(node, Mapping):
+        return {key: _take_tensors(value, f"{name}/{key}", tensors) for key, value in node.items()}
+    if isinstance(node, list | tuple):
+        return [_take_tensors(value, f"{name}/{i}", tensors) for i, value in enumerate(node)]
+    return node
+
+
+def _put_tensors(node: Any, tensors: Mapping[str, Tensor]) -> Any:
+    if isinstance(node, dict):
+        if set(node) == {_TENSOR}:
+            return tensors[node[_TENSOR]]
+        return {key: _put_tensors(value, tensors) for key, value in node.items()}
+    if isinstance(node, list):
+        return [_put_tensors(value, tensors) for value in node]
+    return node
 
 
 class Run:
@@ -200,7 +325,6 @@ class Run:
         interrupts: Interrupts | None = None,
         stop_after: int | None = None,
     ) -> None:
-        """See `magical_baselines.train`; raises `CheckpointError`, `InvalidConfigError`."""
         if stop_after is not None and stop_after < 1:
             raise InvalidConfigError(f"stop_after: expected a positive number, found {stop_after}")
         self.folder, self.config = folder, config
@@ -232,8 +356,7 @@ class Run:
                     f"{quoted(self.record[name])}, found {quoted(fact)}; restore what it began "
                     "with, or start a new run"
                 )
-        if not set(facts) <= set(self.record):
-            self._write_record(facts)
+        self._write_record(facts)
 
     @cached_property
     def compute(self) -> Compute:
@@ -246,11 +369,12 @@ class Run:
         if chosen is None or chosen.device != device:
             chosen = choose_compute(device, config.network_precision, config.num_threads)
             self._write_record({"compute": asdict(chosen)})
-        chosen.set_threads()
+        if chosen.threads:  # results are bit-equal only for the same number
+            torch.set_num_threads(chosen.threads)
         return chosen
 
     def _write_record(self, facts: Mapping[str, Any]) -> None:
-        self.record = {**self.record, **facts}
+        self.record |= facts
         write_json(self.folder / RECORD, self.record)
 
     def keep(self, **parts: Stateful) -> bool:
@@ -269,12 +393,7 @@ class Run:
         return found
 
     def finish_step(
-        self,
-        step: int,
-        metrics: Callable[[], Metrics],
-        *,
-        log_every: int = 1,
-        last: bool = False,
+        self, step: int, metrics: Callable[[], Metrics], *, log_every: int = 1, last: bool = False
     ) -> bool:
         """End a step: log metrics, check them, and save a checkpoint, each if due.
 
@@ -300,7 +419,8 @@ class Run:
             for callback in self.callbacks:
                 callback(step, found)
             self._require_finite(step, found)
-        if stops or last or self._checkpoint_is_due(step):
+        every, waited = self.config.checkpoint_every, time.monotonic() - self._saved_at
+        if stops or last or (step % every == 0 if every else waited >= self._pause):
             begun = time.monotonic()
             state = {name: state_of(part) for name, part in self._parts.items()}
             self._require_finite(step, state)
@@ -318,11 +438,6 @@ class Run:
                 f"{' and '.join(ignored)}: this algorithm does not take them, since its "
                 "train function does not use run.compute; leave them out"
             )
-
-    def _checkpoint_is_due(self, step: int) -> bool:
-        if every := self.config.checkpoint_every:
-            return step % every == 0
-        return time.monotonic() - self._saved_at >= self._pause
 
     def _require_finite(self, step: int, state: Any) -> None:
         """Raise `DivergedError` if any number or tensor in nested dicts and lists is not finite."""
@@ -368,7 +483,7 @@ def fit(
     assert isinstance(config, SupervisedConfig)
     end = config.num_updates if until is None else until
     numbers = range(run.step, end)
-    with prefetch(sample, numbers, ahead=run.compute.device == "cpu") as batches:
+    with closing(prefetch(sample, numbers, ahead=run.compute.device == "cpu")) as batches:
         for number, batch in zip(numbers, batches, strict=False):
             averages.add(config.batch_size, **update(number, batch))
             if run.finish_step(
@@ -381,18 +496,17 @@ def fit(
     return False
 
 
-@contextmanager
 def prefetch(
-    make: Callable[[int], T], numbers: Sequence[int], ahead: bool
-) -> Iterator[Iterable[T]]:
-    """Yield an iterable of the batches `make(number)`, in order.
+    make: Callable[[int], T], numbers: Iterable[int], ahead: bool
+) -> Generator[T, None, None]:
+    """Yield the batches `make(number)`, in order; raises what `make` raises.
 
     If `ahead`, a thread makes them in advance, on one core, and leaves the others to the main
     thread: this is for batches made by the host. Batches made on a GPU are made on demand, as its
-    kernels are queued asynchronously anyway. The iterator raises what `make` raises.
+    kernels are queued asynchronously anyway. The thread ends when the generator is closed.
     """
     if not ahead:
-        yield map(make, numbers)
+        yield from map(make, numbers)
         return
     num_threads = torch.get_num_threads()
     thread = ThreadPoolExecutor(1, "batches", torch.set_num_threads, (1,))
@@ -400,19 +514,13 @@ def prefetch(
     # the default of the time at which it first asks.
     thread.submit(torch.get_num_threads).result()
     torch.set_num_threads(num_threads)
+    queue: deque[Future[T]] = deque()
     try:
-        yield _ahead(thread, make, numbers)
+        for number in numbers:
+            queue.append(thread.submit(make, number))
+            if len(queue) > DEPTH:
+                yield queue.popleft().result()
+        while queue:
+            yield queue.popleft().result()
     finally:
         thread.shutdown(cancel_futures=True)
-
-
-def _ahead(
-    thread: ThreadPoolExecutor, make: Callable[[int], T], numbers: Iterable[int]
-) -> Iterator[T]:
-    queue: deque[Future[T]] = deque()
-    for number in numbers:
-        queue.append(thread.submit(make, number))
-        if len(queue) > DEPTH:
-            yield queue.popleft().result()
-    while queue:
-        yield queue.popleft().result()

@@ -25,7 +25,7 @@ from torch.nn import functional
 
 from magical.evaluation.policy import Actions, Mask
 from magical.scene import NOOP, NUM_ACTIONS
-from magical_baselines.algorithms.chunks import (
+from magical_baselines.algorithms.cloning import (
     QUICK,
     ExpertData,
     SequenceConfig,
@@ -129,7 +129,6 @@ class MemoryPolicy(TrainedPolicy):
         self._last = np.where(mask, NOOP, self._last)
 
     def act(self, observations: Any, env_ids: Sequence[str], rng: np.random.Generator) -> Actions:
-        """See `TrainedPolicy`."""
         newest = self.outputs(observations, env_ids).float()
         before = torch.from_numpy(self._last)
         self._tokens = torch.cat([self._tokens[:, 1:], newest[:, None]], dim=1)
