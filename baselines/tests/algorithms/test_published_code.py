@@ -16,7 +16,7 @@ from baselines.tests.tiny_runs import tiny
 from magical.cli import main
 from magical.evaluation import Policy
 from magical.evaluation.protocol import Evaluation
-from magical.evaluation.rollouts import RepeatedEvaluation
+from magical.evaluation.rollouts import roll_out
 from magical.scene import NUM_ACTIONS
 from magical_baselines import train
 from magical_baselines.algorithms import bc, ppo
@@ -46,9 +46,9 @@ def test_the_monitoring_evaluation_has_the_configured_horizon(
 
     def recorded(policy: Policy, evaluation: Evaluation, workers: int | None) -> Any:
         asked.append(evaluation.horizon)
-        return RepeatedEvaluation(policy, replace(evaluation, horizon=1, rollouts=1), workers)
+        return roll_out(policy, replace(evaluation, horizon=1, rollouts=1), workers=workers)
 
-    monkeypatch.setattr("magical_baselines.rollouts.RepeatedEvaluation", recorded)
+    monkeypatch.setattr("magical_baselines.rollouts.roll_out", recorded)
     for horizon in ("appendix", "published"):
         config = tiny(
             PPOConfig, tasks=("ClusterColour",), reward="score", horizon=horizon, evaluate_every=3

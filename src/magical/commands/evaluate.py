@@ -30,7 +30,7 @@ from magical.commands._common import (
     print_table,
 )
 from magical.errors import MagicalError
-from magical.evaluation.noise import MAX_NOISE
+from magical.evaluation.protocol import MAX_NOISE
 from magical.messages import decimals, quoted
 from magical.runs.sources import parse_source
 from magical.tasks import parse_horizon

@@ -49,7 +49,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Read, tabulate, print every table of the page as text, write the file."""
-    from magical.evaluation.loading import policy_of
+    from magical.evaluation.entry import policy_of
     from magical.extras import require
     from magical.report.found import find_results
     from magical.report.page import FORMATS, all_tables, format_of, plain_rows, write_page

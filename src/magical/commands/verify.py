@@ -42,21 +42,20 @@ def run(args: argparse.Namespace) -> int:
     import numpy as np
 
     from magical.evaluation import load_policy, read_entry
-    from magical.evaluation.loading import policy_of, recorded_threads
+    from magical.evaluation.entry import policy_of
     from magical.evaluation.verification import is_elsewhere, verify
     from magical.runs.machine import machine, versions
 
     entry = read_entry(args.entry)
     policy = load_policy(args.policy) if args.policy else policy_of(args.entry, entry)
-    with recorded_threads(policy, entry):
-        found = verify(
-            entry,
-            policy,
-            rounds=args.rounds,
-            rng=np.random.default_rng(args.seed),
-            elsewhere=is_elsewhere(entry.record, machine(), versions()),
-            workers=args.workers,
-        )
+    found = verify(
+        entry,
+        policy,
+        rounds=args.rounds,
+        rng=np.random.default_rng(args.seed),
+        elsewhere=is_elsewhere(entry.record, machine(), versions()),
+        workers=args.workers,
+    )
     _print(found)
     counts = {"rollouts": len(found.recorded), "total": len(entry.scores), "equal": found.equal}
     print_json(args, {"confirmed": found.confirmed, **counts, "exact": found.exact})

@@ -16,8 +16,7 @@ from msgspec import Meta
 
 from magical.errors import MagicalError, PlanError, PluginError
 from magical.evaluation import BUILT_IN
-from magical.evaluation.noise import checked_noise
-from magical.evaluation.protocol import ROLLOUTS, Evaluation, environments
+from magical.evaluation.protocol import ROLLOUTS, Evaluation, checked_noise, environments
 from magical.experts import get_planner
 from magical.experts.noise import check_share
 from magical.messages import quoted
