@@ -132,18 +132,6 @@ def test_what_is_no_policy(module: str, source: Any, error: type, message: str) 
         load_policy(source.format(module) if isinstance(source, str) else source)
 
 
-def test_a_module_found_elsewhere_does_not_open_the_working_folder(
-    module: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    hostile = tmp_path / "hostile"
-    hostile.mkdir()
-    monkeypatch.chdir(hostile)
-    monkeypatch.syspath_prepend(tmp_path)
-    before = list(sys.path)
-    load_policy(f"{module}:still")
-    assert sys.path == before
-
-
 def test_a_module_in_the_working_folder_takes_no_librarys_place(
     module: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

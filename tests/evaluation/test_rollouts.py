@@ -193,29 +193,6 @@ def test_policies_with_continuous_actions_are_evaluated_in_such_environments() -
     assert score.score == info["eval_score"]
 
 
-class Reacting(Watching):
-    """Acts by what it observes, and overwrites its observations if it `edits`."""
-
-    def act(self, observations: Any, env_ids: Sequence[str], rng: np.random.Generator) -> Actions:
-        arrays = list(observations.values()) if isinstance(observations, dict) else [observations]
-        if isinstance(observations, list):
-            arrays = [observations[0].poses.bodies.base, observations[0].velocities.base]
-        sums = sum(np.abs(array).reshape(len(env_ids), -1).sum(axis=1) for array in arrays)
-        for array in arrays if vars(self)["edits"] else []:
-            array[...] = 7
-        return (1000 * np.asarray(sums)).astype(np.int64) % 18
-
-
-@pytest.mark.parametrize("observation", ["LoRes4E", "LoRes3EA", "state", None])
-def test_a_policy_that_edits_its_observations_changes_nothing(observation: str | None) -> None:
-    shown = {"observation": observation, "privileged": observation is None}
-    one, other = (
-        evaluate(Reacting(**shown, edits=edits), [DEMO], rollouts=2, horizon=6, workers=1)
-        for edits in (False, True)
-    )
-    assert one == other
-
-
 def test_privileged_policies_see_states_which_noise_moves() -> None:
     exact, moved = Watching(privileged=True), Watching(privileged=True)
     evaluate(exact, [DEMO], rollouts=3, horizon=2, workers=0)

@@ -30,13 +30,7 @@ from magical.envs import EnvId, parse_env_id
 from magical.envs.action_spec import DISCRETE
 from magical.envs.seeds import evaluation_seed
 from magical.errors import MagicalError, PolicyError, ScoresError
-from magical.evaluation.policy import (
-    Policy,
-    action_spec_of,
-    load_policy,
-    observed,
-    policy_names,
-)
+from magical.evaluation.policy import Policy, action_spec_of, load_policy, observed, policy_names
 from magical.evaluation.protocol import Evaluated, Evaluation
 from magical.files import reading, write_atomically, write_json
 from magical.grouping import group_by
@@ -155,9 +149,9 @@ class Entry:
             raise ScoresError(f"expected at most {MAX_ROWS} rollouts in an entry, found {count}")
         task = evaluation.env_ids[0].task_spec
         observation, privileged = observed(policy, evaluation.observation, task)
-        shown = {"observation": observation, "privileged": privileged}
-        shown["action_space"] = action_spec_of(policy).name
-        evaluated = Evaluated(env_ids=evaluation.env_ids, **(evaluation.settings | shown))
+        own = {"privileged": privileged, "action_space": action_spec_of(policy).name}
+        how = {**evaluation.settings, "observation": observation, **own}
+        evaluated = Evaluated(env_ids=evaluation.env_ids, **how)
         return cls(method=method, evaluated=evaluated, record=record, **others)
 
     @property
@@ -205,18 +199,10 @@ class Entry:
     def stated(self) -> dict[str, Any]:
         """Everything except the scores as plain data: what `entry.json` holds."""
         how, default = self.evaluated, asdict(Record())
-        record = asdict(self.record)
-        return {
-            "method": self.method,
-            "observation": self.observation,
-            "privileged": how.privileged,
-            "action_space": how.action_space,
-            "horizon": how.horizon_name,
-            "nudge": how.nudge,
-            "seed": how.seed,
-            "version": self.version,
-            "record": {name: value for name, value in record.items() if value != default[name]},
-        }
+        record = {k: value for k, value in asdict(self.record).items() if value != default[k]}
+        own = {"method": self.method, "version": self.version, "record": record}
+        settings = how.settings | {"observation": self.observation, "horizon": how.horizon_name}
+        return {each.name: (settings | own)[each.name] for each in fields(_File)}
 
 
 def _renamed(data: dict[str, Any]) -> dict[str, Any]:

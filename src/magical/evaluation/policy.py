@@ -42,21 +42,9 @@ BROUGHT_BY = {
 class Policy(Protocol):
     """Chooses actions for a batch of B environments.
 
-    A policy may also have these attributes; missing ones count as `False` or `None`:
-
-    - `privileged` (bool): it gets true states; `observations` is then a list of B `State`s.
-    - `observation`: the observation it was made for, as in `gymnasium.make(..., observation=...)`;
-      `"nothing"` for a policy that needs none: `observations` is then `None`.
-    - `action_space`: `"discrete"` (the default) or `"continuous"`, as in `gymnasium.make`.
-    - `tasks` (sequence of names): the tasks it was made for.
-    - `in_processes` (bool): copies of it may act in several processes; it can be pickled.
-    - `modules(tasks)`: the modules that such processes must import first.
-    - `updates` (two integers): the updates of its training that are done, and those planned.
-    - `record` (mapping): the fields of `magical.evaluation.Record` that it states, such as
-      `learned_from` and `training_seed`.
-    - `using_threads(number)`: a context in which its network uses that many CPU threads.
-    - `exact` (bool): its actions are the same on every machine, so `magical verify` expects equal
-      scores wherever it runs. Those of a network are not.
+    It may also have the attributes `privileged`, `observation`, `action_space`, `tasks`,
+    `in_processes`, `modules`, `updates`, `record`, `using_threads` and `exact`, which
+    docs/own-policy.md describes. Missing ones count as `False` or `None`.
     """
 
     def act(

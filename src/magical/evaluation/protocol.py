@@ -10,12 +10,7 @@ from gymnasium.utils import seeding
 
 from magical.envs import EnvId, parse_env_id
 from magical.envs.action_spec import DISCRETE
-from magical.errors import (
-    InvalidConfigError,
-    InvalidSceneError,
-    PlacementError,
-    UnknownNameError,
-)
+from magical.errors import InvalidConfigError, InvalidSceneError, PlacementError, UnknownNameError
 from magical.grouping import group_by
 from magical.observe import Observation, make_spec
 from magical.scene import Dynamics, Pose, Scene
@@ -46,9 +41,11 @@ class Evaluation:
         rollouts: the number of rollouts in each environment.
         seed: which set of fixed seeds.
         observation: what the policy is shown; `None` for its own or, if it has none, `LoRes4E`.
-        horizon: control steps, "published", or `None` for the appendix's.
-        nudge: evaluation noise, the largest shift of initial poses, in units and radians: `NUDGE`
-            for the leaderboard, 0 for comparison with published scores.
+        horizon: control steps, or `None` for the appendix's; "published" for those of the published
+            tables, which must differ for at least one of the tasks.
+        nudge: evaluation noise, the largest shift of initial poses, in units and radians, sampled
+            from each rollout's seed: `NUDGE` for the leaderboard, 0 for comparison with published
+            scores. It averages over what rounding decides on Demo (docs/determinism.md).
 
     Raises:
         InvalidConfigError: an invalid horizon or nudge.
@@ -147,17 +144,13 @@ def environments(
     for task in importable_tasks() if tasks is None else map(get_task, dict.fromkeys(tasks)):
         found = [name for name in task.variants if wanted is None or name in wanted]
         if not found and tasks is not None:
-            raise UnknownNameError(
-                f"{task.name} has none of the variants {', '.join(sorted(wanted or ()))}; it has: "
-                f"{', '.join(map(short_variant, task.variants))}"
+            asked, known = (
+                ", ".join(sorted(wanted or ())),
+                ", ".join(map(short_variant, task.variants)),
             )
+            raise UnknownNameError(f"{task.name} has none of the variants {asked}; it has: {known}")
         env_ids += [EnvId(task.name, variant) for variant in found]
     return env_ids
-
-
-# Evaluation noise. On Demo every rollout starts from one scene, so rounding decides what a
-# deterministic policy scores. With noise, an average over rollouts is one over roundings
-# (docs/determinism.md).
 
 
 def checked_noise(noise: float) -> float:

@@ -57,10 +57,8 @@ def evaluate(
         rollouts: the number of rollouts in each environment.
         seed: which set of fixed seeds; results are reported for 0.
         observation: by default the policy's own, or `LoRes4E`; states for a privileged policy.
-        horizon: control steps; `"published"` for those of the published tables, which must differ
-            from the appendix's for at least one of the tasks.
-        nudge: the largest shift of initial poses, in units and radians, sampled from each rollout's
-            seed; 1e-9 averages over what rounding decides on Demo (docs/determinism.md).
+        horizon: control steps, or "published"; by default the appendix's. See `Evaluation`.
+        nudge: evaluation noise in units and radians. See `Evaluation`.
         workers: threads that step the environments, or for a policy with `in_processes` processes
             that run the policy too; by default one for each core.
         progress: called with the number of rollouts that have just ended.
@@ -250,15 +248,7 @@ def _by_rows(name: str) -> Callable[..., Any]:
     return sample_rows
 
 
-ROW_METHODS = (
-    "random",
-    "uniform",
-    "integers",
-    "standard_normal",
-    "normal",
-    "gumbel",
-    "exponential",
-    "standard_exponential",
-)
+ROW_METHODS = ("random", "uniform", "integers", "gumbel")
+ROW_METHODS += ("normal", "standard_normal", "exponential", "standard_exponential")
 for _name in ROW_METHODS:
     setattr(RolloutRng, _name, _by_rows(_name))

@@ -108,11 +108,11 @@ def verify(
         PolicyError: the policy is not shown what the entry says.
         ScoresError: the two scores of a rollout differ on a task whose rules are the same.
     """
-    for env_id, rollout, _, score, published in entry.scores:
-        if env_id.task_spec.published_score_fn is None and score != published:
+    for env_id, rollout, _, *both in entry.scores:
+        if env_id.task_spec.published_score_fn is None and both[0] != both[1]:
             raise ScoresError(
                 f"{env_id}, rollout {rollout}: expected equal scores by both rules, which are the "
-                f"same on this task, found {score} and {published}"
+                f"same on this task, found {both}"
             )
     evaluation = entry.evaluation(policy)
     now = observed(policy, evaluation.observation, evaluation.env_ids[0].task_spec)
@@ -126,12 +126,13 @@ def verify(
     threads, using = entry.record.threads, getattr(policy, "using_threads", None)
     with using(threads) if using and threads else nullcontext():
         for env_ids in evaluation.by_task.values():
-            part = replace(evaluation, env_ids=tuple(env_ids))
-            left = set(range(evaluation.rollouts))
+            part, left = (
+                replace(evaluation, env_ids=tuple(env_ids)),
+                set(range(evaluation.rollouts)),
+            )
             for _ in range(rounds):
                 if left:
-                    number = int(rng.choice(sorted(left)))
-                    scores = evaluate_round(policy, part, number, workers)
+                    scores = evaluate_round(policy, part, int(rng.choice(sorted(left))), workers)
                     left -= {row.rollout for row in scores}
                     again += scores
     known = {(row.env_id, row.rollout): row for row in entry.scores}
