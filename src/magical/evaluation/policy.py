@@ -5,7 +5,7 @@ import json
 import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +18,6 @@ from magical.observe import STATE, Observation, make_spec
 from magical.plugins import load_plugin, load_reference, plugins
 from magical.scene import NOOP, NUM_ACTIONS, State
 from magical.tasks import Task
-
-if TYPE_CHECKING:
-    from magical.experts import EpisodeExpert
 
 Mask = NDArray[np.bool_]  # (B,)
 
@@ -125,19 +122,18 @@ class ExpertPolicy:
     record: Mapping[str, Any] = {"learned_from": []}
 
     def __init__(self) -> None:
-        self._experts: dict[int, EpisodeExpert] = {}  # by row of the batch
+        self._experts: dict[int, Any] = {}  # an `EpisodeExpert` by row of the batch
 
     def act(
         self, observations: Sequence[State], env_ids: Sequence[EnvId], rng: np.random.Generator
     ) -> Actions:
         """Each expert's action in the current state."""
-        if new := [row for row in range(len(env_ids)) if row not in self._experts]:
+        if new := set(range(len(env_ids))) - self._experts.keys():
             from magical.experts import EpisodeExpert, expert_for
 
             seeds = rng.integers(2**31, size=len(env_ids)).tolist()
             for row in new:
-                expert = expert_for(env_ids[row].task, seed=seeds[row])
-                self._experts[row] = EpisodeExpert(expert)
+                self._experts[row] = EpisodeExpert(expert_for(env_ids[row].task, seed=seeds[row]))
         return np.array([self._experts[row].act(state) for row, state in enumerate(observations)])
 
     def reset(self, mask: Mask) -> None:

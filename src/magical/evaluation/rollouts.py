@@ -60,7 +60,7 @@ def evaluate(
         horizon: control steps, or "published"; by default the appendix's. See `Evaluation`.
         nudge: evaluation noise in units and radians. See `Evaluation`.
         workers: threads that step the environments, or for a policy with `in_processes` processes
-            that run the policy too; by default one for each core.
+            that run the policy too; by default a thread for each core, or one process.
         progress: called with the number of rollouts that have just ended.
 
     Returns:
@@ -96,8 +96,8 @@ def roll_out(
     if getattr(policy, "in_processes", False):
         count = min(1 if workers is None else checked_workers(workers), len(batches))
         modules = modules_for(policy, list(evaluation.by_task)) if count > 1 else []
-        score = with_tasks(functools.partial(_score_batch, policy, evaluation), modules)
-        parts = map_in_processes(score, batches, count)
+        work = with_tasks(functools.partial(_score_batch, policy, evaluation), modules)
+        parts = map_in_processes(work, batches, count)
     else:
         parts = (part for each in batches for part in _rounds(policy, evaluation, each, workers))
     scores: dict[EnvId, list[RolloutScore]] = {env_id: [] for env_id in evaluation.env_ids}
@@ -248,7 +248,9 @@ def _by_rows(name: str) -> Callable[..., Any]:
     return sample_rows
 
 
-ROW_METHODS = ("random", "uniform", "integers", "gumbel")
-ROW_METHODS += ("normal", "standard_normal", "exponential", "standard_exponential")
+ROW_METHODS = (
+    *("random", "uniform", "integers", "gumbel"),
+    *("normal", "standard_normal", "exponential", "standard_exponential"),
+)
 for _name in ROW_METHODS:
     setattr(RolloutRng, _name, _by_rows(_name))

@@ -88,7 +88,6 @@ def rollout_mean(scores: ArrayLike) -> Interval:
     rollouts = np.asarray(scores, np.float64)
     if rollouts.ndim != 1 or not rollouts.size:
         raise ValueError(f"scores: expected shape (rollouts,), found {rollouts.shape}")
-    check_range(rollouts)
     value, variance = float(rollouts.mean()), float(rollouts.var())
     worth = value * (1.0 - value) / variance if variance > TINY else 1.0
     ratio = NormalDist().inv_cdf((1.0 + CONFIDENCE) / 2.0) ** 2 / (len(rollouts) * worth)
@@ -270,12 +269,6 @@ def welch_interval(
     return Interval(value, max(value - half, bounds[0]), min(value + half, bounds[1]))
 
 
-def check_range(scores: Floats) -> None:
-    """Raise `ValueError` if scores are outside [0, 1]; NaN is allowed."""
-    if (outside := scores[(scores < 0.0) | (scores > 1.0)]).size:
-        raise ValueError(f"scores: expected values from 0 to 1, found {outside[0]:g}")
-
-
 def _table(scores: ArrayLike) -> Floats:
     table = np.asarray(scores, np.float64)
     if table.ndim != 2 or not table.size:
@@ -286,7 +279,8 @@ def _table(scores: ArrayLike) -> Floats:
     missing = np.isnan(table)
     if missing.all(axis=0).any() or missing.all(axis=1).any():
         raise ValueError("scores: expected a score in each row and each column, found only NaN")
-    check_range(table)
+    if (outside := table[(table < 0.0) | (table > 1.0)]).size:
+        raise ValueError(f"scores: expected values from 0 to 1, found {outside[0]:g}")
     return table
 
 
