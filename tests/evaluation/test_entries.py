@@ -179,6 +179,8 @@ def test_a_line_without_end_is_not_read_to_its_end(tmp_path: Path) -> None:
         '{"method": "x", "record": {"a": ' + "[" * 40 + "]" * 40 + "}}",
         json.dumps({"method": "x" * 201}),
         '{"method": " "}',
+        r'{"method": "\u001b[31mred"}',
+        r'{"method": "m", "version": "1\n"}',
         '{"method": "m", "privileged": "no"}',
         '{"method": "m", "seed": -1}',
         '{"method": "m", "nudge": 5.0}',

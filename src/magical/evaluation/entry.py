@@ -50,7 +50,9 @@ COLLECTION_BYTES = 1 << 26  # of `entries.json`
 COLLECTION_ROWS = 1_000_000  # of a compressed file, which may hold any number
 MAX_THREADS = 1024  # the most that an entry can ask for
 
-Text = Annotated[str, Meta(max_length=200)]
+# Without control characters, ends of lines and changes of direction.
+_SHOWN = r"[^\x00-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069]*\Z"
+Text = Annotated[str, Meta(max_length=200, pattern=rf"^{_SHOWN}")]
 Count = Annotated[int, Meta(ge=0)]
 
 
@@ -117,7 +119,7 @@ def record_of(policy: Policy, name: str, out: Path) -> Record:
 class _File:
     """What `entry.json` holds."""
 
-    method: Annotated[Text, Meta(pattern=r"\S")]
+    method: Annotated[str, Meta(max_length=200, pattern=rf"^(?=.*\S){_SHOWN}")]
     observation: Text = ""
     privileged: bool = False
     action_space: Text = DISCRETE.name
