@@ -217,7 +217,9 @@ def test_an_entry_that_breaks_the_protocol_is_refused(
 
 
 @given(st.sampled_from(["scores.csv", "entry.json"]), st.data())
-@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 def test_any_other_bytes_are_read_or_refused(tmp_path: Path, name: str, data: Any) -> None:
     entry_of("mine", SCORES).write(tmp_path)
     whole = (tmp_path / name).read_bytes()

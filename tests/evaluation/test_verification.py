@@ -73,27 +73,20 @@ def test_the_scores_of_the_same_policy_are_confirmed(entry: Entry) -> None:
     assert sorted(everything.again) == sorted(entry.scores)
 
 
-class Undecided:
-    """Acts by what it sees, and has no observation of its own."""
-
-    def act(self, observations: Any, env_ids: Sequence[str], rng: np.random.Generator) -> Actions:
-        actions: Actions = observations.reshape(len(env_ids), -1).astype(np.int64).sum(axis=1) % 18
-        return actions
-
-    def reset(self, mask: Any) -> None:
-        pass
+def by_sight(observations: Any, env_ids: Sequence[str], rng: np.random.Generator) -> Any:
+    return observations.reshape(len(env_ids), -1).astype(np.int64).sum(axis=1) % 18
 
 
 @pytest.mark.parametrize("observation", ["LoRes4A", {"parts": (("allo", 2),), "size": 48}])
 def test_a_policy_is_shown_again_what_it_was_shown(observation: Observation) -> None:
+    policy, rng = FunctionPolicy(by_sight), np.random.default_rng(0)
     evaluation = Evaluation.of(IDS[:1], rollouts=2, horizon=20, observation=observation)
-    shown = roll_out(Undecided(), evaluation, workers=0)
-    made = Entry.of(Undecided(), evaluation, method="m", scores=shown, record=Record())
-    rng = np.random.default_rng(0)
-    found = verify(made, Undecided(), rng=rng, workers=0)
+    shown = roll_out(policy, evaluation, workers=0)
+    made = Entry.of(policy, evaluation, method="m", scores=shown, record=Record())
+    found = verify(made, policy, rng=rng, workers=0)
     assert found.confirmed
     assert found.exact
-    assert not verify(made, Undecided(), rng=rng, elsewhere=True, workers=0).exact
+    assert not verify(made, policy, rng=rng, elsewhere=True, workers=0).exact
 
 
 def test_the_scores_of_another_policy_are_not(entry: Entry) -> None:
