@@ -19,8 +19,8 @@ from magical.commands._common import task_name
 from magical.envs import parse_env_id
 from magical.envs.vector import MagicalVectorEnv
 from magical.errors import MissingDependencyError, PluginError, UnknownNameError
-from magical.evaluation.loading import GROUP as POLICIES
-from magical.evaluation.loading import load_policy
+from magical.evaluation.policy import GROUP as POLICIES
+from magical.evaluation.policy import load_policy
 from magical.observe import make_spec
 from magical.plugins import Registry
 from magical.runs import versions

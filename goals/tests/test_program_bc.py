@@ -12,7 +12,7 @@ from magical.demos import Dataset, observations
 from magical.demos.generate import demonstrate
 from magical.errors import CheckpointError
 from magical.evaluation import evaluate
-from magical.evaluation.seeds import RolloutRng
+from magical.evaluation.rollouts import RolloutRng
 from magical.scene import NOOP
 from magical.tasks import get_task
 from magical_baselines import load_policy, train

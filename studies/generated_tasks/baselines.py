@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from magical.envs import EnvId
-from magical.evaluation import Entry
-from magical.evaluation.scores import RolloutScore
+from magical.evaluation import Entry, RolloutScore
 from magical.evaluation.statistics import (
     FEWEST_RUNS,
     Floats,

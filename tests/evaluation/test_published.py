@@ -19,21 +19,17 @@ from magical.evaluation.statistics import Spread
 from magical.tasks import TASKS
 
 
-def test_entries_read_off_the_appendix() -> None:
-    assert published_score("MoveToCorner", "BC (ST)", "Demo") == (0.98, 0.04)
+def test_the_table_is_the_one_that_was_checked_against_the_appendix(root: Path) -> None:
+    file = root / "src" / "magical" / "evaluation" / "data" / "published-scores.csv"
+    sha256 = "7090cbc8fdb278c03140581e52c0b31b2e3f4a1ab24ecd9d5d6539a2cc2a2301"
+    assert hashlib.sha256(file.read_bytes()).hexdigest() == sha256
+    assert len(published_table()) == 660
     assert published_score("MoveToRegion", "GAIL (ST, allo.)", "TestColour") == (0.95, 0.02)
     assert published_score("ClusterShape", "GAIL (ST)", "Jitter") == (0.44, 0.08)
-    assert published_score("FixColour", "WGAIL-GP (ST)", "All") == (0.05, 0.02)
     assert published_score("MoveToRegion", "BC (ST)", "Shape") is None  # a dash
-
-
-def test_every_variant_of_every_task_has_every_method() -> None:
-    assert len(published_table()) == 660
-    assert set(published_tasks()) <= set(TASKS)
     for task in published_tasks():
         for method in published_methods():
-            for variant in TASKS[task].variants:
-                assert published_score(task, method, variant) is not None
+            assert None not in [published_score(task, method, v) for v in TASKS[task].variants]
 
 
 @pytest.mark.parametrize(
@@ -49,12 +45,6 @@ def test_unknown_names_list_what_there_is(names: tuple[str, str, str], listed: s
         published_score(*names)
 
 
-def test_the_table_is_the_one_that_was_checked_against_the_appendix(root: Path) -> None:
-    file = root / "src" / "magical" / "evaluation" / "data" / "published-scores.csv"
-    sha256 = "7090cbc8fdb278c03140581e52c0b31b2e3f4a1ab24ecd9d5d6539a2cc2a2301"
-    assert hashlib.sha256(file.read_bytes()).hexdigest() == sha256
-
-
 def test_the_difference_from_a_published_mean_has_welch_s_interval() -> None:
     ours, theirs = [0.5, 0.7, 0.9], Spread(0.6, 0.1)
     value, low, high = difference_from_published(ours, theirs)
@@ -65,6 +55,5 @@ def test_the_difference_from_a_published_mean_has_welch_s_interval() -> None:
     assert (value, low, high) == pytest.approx((0.1, 0.1 - half, 0.1 + half))
     _, low, high = difference_from_published([0.996] * 5, Spread(1.0, 0.0))  # rounded to 0.00
     assert low < 0.0 < high
-    for few in ([0.25], [0.2, 0.3]):
-        found = difference_from_published(few, Spread(0.5, 0.1))
-        assert found == pytest.approx((-0.25, math.nan, math.nan), nan_ok=True)
+    found = difference_from_published([0.2, 0.3], Spread(0.5, 0.1))  # too few runs
+    assert found == pytest.approx((-0.25, math.nan, math.nan), nan_ok=True)

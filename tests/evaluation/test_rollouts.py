@@ -1,4 +1,4 @@
-"""Rollouts: fixed seeds, all variants side by side, results that depend on nothing else."""
+"""Rollouts: fixed seeds, noise, random streams, results that depend on nothing else."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -6,30 +6,21 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
-from magical.envs import EnvId, parse_env_id
+from magical.envs import EnvId
+from magical.envs.env import MagicalEnv
 from magical.envs.seeds import evaluation_seed
-from magical.envs.vector import MagicalVectorEnv
 from magical.errors import InvalidConfigError, PolicyError, UnknownNameError
-from magical.evaluation import (
-    Evaluation,
-    NoopPolicy,
-    RandomPolicy,
-    environments,
-    evaluate,
-    load_policy,
-)
-from magical.evaluation.expert import ExpertPolicy
+from magical.evaluation import Evaluation, NoopPolicy, environments, evaluate
 from magical.evaluation.policy import Actions, Mask
-from magical.evaluation.rollouts import RepeatedEvaluation
-from magical.evaluation.seeds import rollout_stream
+from magical.evaluation.protocol import MAX_NOISE, noisy_start
+from magical.evaluation.rollouts import ROW_METHODS, RolloutRng, rollout_stream
 from magical.scene import State
 from magical.tasks import TASKS
 
 DEMO = "magical/MoveToRegion-Demo-v0"
 LAYOUT = "magical/MoveToRegion-TestLayout-v0"
-ALL = "magical/MoveToRegion-TestAll-v0"
+NOISE = 1e-9
 
 
 class Watching:
@@ -48,32 +39,21 @@ class Watching:
         self.resets.append(mask.copy())
 
 
-@pytest.mark.parametrize(
-    ("tasks", "variants", "message"),
-    [
-        (["MoveToRegoin"], None, "MoveToRegion"),
-        (None, ["Color"], "Colour"),
-        (["MoveToRegion"], ["Shape"], "MoveToRegion has none of the variants TestShape"),
-    ],
-)
-def test_environments_by_names(tasks: Any, variants: Any, message: str) -> None:
+def test_environments_by_names() -> None:
     assert len(environments()) == sum(len(task.variants) for task in TASKS.values())
-    assert environments(["MoveToRegion"], ["Jitter", "Demo"]) == [
-        "magical/MoveToRegion-Demo-v0",
-        "magical/MoveToRegion-TestJitter-v0",
-    ]
+    assert environments("MoveToRegion", ["Layout", "Demo"]) == [DEMO, LAYOUT]
     having = [env_id.task for env_id in environments(variants="Shape")]
     assert having == [name for name, task in TASKS.items() if "TestShape" in task.variants]
-    with pytest.raises(UnknownNameError, match=message):
-        environments(tasks, variants)
+    with pytest.raises(UnknownNameError, match="MoveToRegion has none of the variants TestShape"):
+        environments("MoveToRegion", "Shape")
 
 
 def test_every_rollout_equals_an_episode_of_the_single_environment() -> None:
-    scores = evaluate(load_policy("random"), [ALL], rollouts=30, workers=0)
-    assert [row.rollout for row in scores] == list(range(30))
+    scores = evaluate("random", "magical/MoveToRegion-TestAll-v0", rollouts=20, workers=0)
+    assert [row.rollout for row in scores] == list(range(20))
     assert any(row.score for row in scores)
+    env = gymnasium.make(scores[0].env_id, observation="state")
     for row in scores:
-        env = gymnasium.make(row.env_id, observation="state")
         env.reset(seed=evaluation_seed(row.rollout))
         rng = np.random.Generator(np.random.PCG64(rollout_stream(row.env_id, row.seed)))
         truncated = False
@@ -83,55 +63,33 @@ def test_every_rollout_equals_an_episode_of_the_single_environment() -> None:
         assert row.published_code_score == info["published_code_score"]
 
 
-@pytest.mark.parametrize("options", [{"num_envs": 1}, {"num_envs": 5}, {"workers": 2}])
-def test_results_do_not_depend_on_batch_workers_or_company(options: dict[str, Any]) -> None:
-    alone = evaluate(RandomPolicy(), [LAYOUT], rollouts=9, workers=0)
-    together = evaluate(RandomPolicy(), [DEMO, LAYOUT], rollouts=9, **({"workers": 0} | options))
+@pytest.mark.parametrize(("policy", "workers"), [("random", 0), ("random", 2), ("expert", 2)])
+def test_results_do_not_depend_on_batch_workers_or_company(policy: str, workers: int) -> None:
+    given: dict[str, Any] = {"rollouts": 40, "horizon": 10, "nudge": NOISE}
+    alone = evaluate(policy, [LAYOUT], workers=0, **given)
+    together = evaluate(policy, [DEMO, LAYOUT], workers=workers, **given)  # in several rounds
     assert [row for row in together if row.env_id == LAYOUT] == alone
-
-
-def test_a_repeated_evaluation_gives_the_same_scores_in_the_same_environments(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    made = []
-
-    def recorded(*arguments: Any, **options: Any) -> MagicalVectorEnv:
-        made.append(MagicalVectorEnv(*arguments, **options))
-        return made[-1]
-
-    ids = [parse_env_id(DEMO), parse_env_id("magical/MoveToCorner-TestJitter-v0")]
-    expected = evaluate(RandomPolicy(), ids, rollouts=3, seed=1, workers=0)
-    monkeypatch.setattr("magical.evaluation.rollouts.MagicalVectorEnv", recorded)
-    evaluation = RepeatedEvaluation(RandomPolicy(), Evaluation.of(ids, rollouts=3, seed=1), 0)
-    assert evaluation.scores() == expected
-    assert evaluation.scores() == expected
-    assert len(made) == 2  # one for each task
-    evaluation.close()
-    assert all(env.closed for env in made)
 
 
 def test_rows_come_by_environment_then_rollout_and_tasks_may_mix() -> None:
     ids = [LAYOUT, "magical/FixColour-Demo-v0", DEMO]
-    twice = [*ids, DEMO]  # which counts once
     seen: list[int] = []
-    scores = evaluate(
-        NoopPolicy(), twice, rollouts=5, horizon=1, num_envs=6, workers=0, progress=seen.append
-    )
+    given: dict[str, Any] = {"rollouts": 5, "horizon": 1, "workers": 0}
+    scores = evaluate(NoopPolicy(), [*ids, DEMO], **given, progress=seen.append)  # counts once
     assert [(row.env_id, row.rollout) for row in scores] == [(i, n) for i in ids for n in range(5)]
     assert sum(seen) == 15
-    others = evaluate(NoopPolicy(), ids, rollouts=5, horizon=1, seed=1, workers=0)
+    others = evaluate(NoopPolicy(), ids, seed=1, **given)
     assert not {row.seed for row in scores} & {row.seed for row in others}
 
 
-def test_policies_see_the_observation_they_were_made_for_and_are_told_of_episodes() -> None:
+def test_policies_are_evaluated_on_their_tasks_in_rounds_and_told_of_episodes() -> None:
     policy = Watching(observation="LoRes4A", tasks=("MoveToRegion",))
-    scores = evaluate(policy, rollouts=3, num_envs=12, horizon=2, workers=0)
     variants = len(TASKS["MoveToRegion"].variants)
-    assert len(scores) == 3 * variants
-    assert [len(mask) for mask in policy.resets] == [2 * variants] * 2  # two waves
+    assert len(evaluate(policy, rollouts=12, horizon=2, workers=0)) == 12 * variants
+    assert [len(mask) for mask in policy.resets] == [6 * variants] * 2  # of at most 64
     assert all(mask.all() for mask in policy.resets)
     observations, env_ids = policy.acts[0]
-    assert observations.shape == (2 * variants, 96, 96, 12)
+    assert observations.shape == (6 * variants, 96, 96, 12)
     assert env_ids[0] == "magical/MoveToRegion-Demo-v0"
 
 
@@ -139,7 +97,6 @@ def test_policies_see_the_observation_they_were_made_for_and_are_told_of_episode
     ("own", "asked_for", "shape"),
     [
         (None, None, (1, 96, 96, 12)),
-        ("LoRes4A", None, (1, 96, 96, 12)),
         ("LoRes4A", "LoRes4A", (1, 96, 96, 12)),
         (None, "LoResCHW4E", (1, 12, 96, 96)),
         ("nothing", "LoRes4A", None),
@@ -153,37 +110,35 @@ def test_policies_see_what_was_asked_for_else_their_own_else_LoRes4E(
     assert getattr(policy.acts[0][0], "shape", None) == shape
 
 
-def test_privileged_policies_see_states() -> None:
-    policy = Watching(privileged=True)
-    evaluate(policy, [DEMO], rollouts=2, horizon=2, workers=0)
-    assert all(isinstance(state, State) for state in policy.acts[1][0])
-    assert [state.step for state in policy.acts[1][0]] == [1, 1]
-
-
 @pytest.mark.parametrize(
-    ("env_ids", "horizon", "steps"),
+    ("env_ids", "horizon", "steps", "name"),
     [
-        (["magical/ClusterColour-Demo-v0"], None, 320),
-        (["magical/ClusterColour-Demo-v0"], 7, 7),
+        (["magical/ClusterColour-Demo-v0"], None, 320, "appendix"),
+        (["magical/ClusterColour-Demo-v0"], "320", 320, "appendix"),
+        (["magical/ClusterColour-Demo-v0"], 7, 7, "7"),
         # The published horizon is for tasks that have one of their own; the others keep theirs.
-        ([DEMO, "magical/ClusterShape-Demo-v0"], "published", 40 + 240),
+        ([DEMO, "magical/ClusterShape-Demo-v0"], "published", 40 + 240, "published"),
     ],
 )
-def test_horizons(env_ids: list[str], horizon: Any, steps: int) -> None:
+def test_horizons(env_ids: list[str], horizon: Any, steps: int, name: str) -> None:
     policy = Watching(observation="state")
     evaluate(policy, env_ids, rollouts=1, horizon=horizon, workers=0)
     assert len(policy.acts) == steps
+    assert Evaluation.of(env_ids, horizon=horizon).horizon_name == name
+
+
+def other_actions(**attributes: Any) -> Any:
+    def act(observations: Any, env_ids: Sequence[str], rng: np.random.Generator) -> Any:
+        return np.tile(attributes["action"], (len(env_ids), 1))
+
+    return Watching(**(attributes | {"act": act}))
 
 
 @pytest.mark.parametrize(
-    ("settings", "error", "message"),
+    ("given", "error", "message"),
     [
-        *(
-            ({"horizon": horizon}, InvalidConfigError, "expected appendix, published or a number")
-            for horizon in ("long", 0, -3)
-        ),
+        ({"horizon": "long"}, InvalidConfigError, "expected appendix, published or a number"),
         ({"horizon": "published"}, UnknownNameError, "ClusterShape.*found.*MoveToRegion"),
-        ({"observation": "HiRes"}, UnknownNameError, "LoRes4E"),
         ({"policy": "noop", "observation": "HiRes"}, UnknownNameError, "LoRes4E"),
         (
             {"policy": Watching(observation="LoRes4A"), "observation": "LoRes4E"},
@@ -193,107 +148,47 @@ def test_horizons(env_ids: list[str], horizon: Any, steps: int) -> None:
         ({"env_ids": []}, ValueError, "at least one environment, found none"),
         ({"env_ids": [f"{DEMO[:-3]}-LoRes4A-v0"]}, ValueError, "set by observation='LoRes4A'"),
         ({"rollouts": 0}, ValueError, "at least 1, found 0"),
-        ({"nudge": 1.0}, ValueError, "noise: expected"),
+        ({"nudge": 2 * MAX_NOISE}, InvalidConfigError, "noise: expected a number from 0 to"),
+        ({"nudge": np.nan}, InvalidConfigError, "noise: expected a number from 0 to"),
         ({"seed": -1}, ValueError, "seed: expected at least 0, found -1"),
         ({"workers": -1}, ValueError, "workers: expected at least 0, or None, found -1"),
+        ({"policy": other_actions(action=[0.0])}, PolicyError, r"integers from 0 to 17 of shape"),
+        ({"policy": other_actions(action_space="box")}, UnknownNameError, "discrete or continuous"),
+        (
+            {"policy": other_actions(action_space="continuous", action=[1.5, 0.0, 0.0])},
+            PolicyError,
+            "found drive 1.5 in row 0",
+        ),
     ],
 )
-def test_wrong_settings_are_named(
-    settings: dict[str, Any], error: type[Exception], message: str
+def test_wrong_settings_and_actions_are_named(
+    given: dict[str, Any], error: type[Exception], message: str
 ) -> None:
-    given: dict[str, Any] = {"policy": Watching(), "env_ids": [DEMO], "rollouts": 1, "workers": 0}
+    usual: dict[str, Any] = {"policy": Watching(), "env_ids": [DEMO], "rollouts": 1, "workers": 0}
     with pytest.raises(error, match=message):
-        evaluate(**(given | settings))
+        evaluate(**(usual | given))
 
 
-def test_one_name_may_be_given_as_it_is() -> None:
-    assert environments("MoveToRegion", "Demo") == environments(["MoveToRegion"], ["Demo"])
-    assert len(evaluate("noop", DEMO, rollouts=1, horizon=2, workers=0)) == 1
+def test_policies_with_continuous_actions_are_evaluated_in_such_environments() -> None:
+    drive = [0.5, 0.0, -1.0]
+    policy = other_actions(action_space="continuous", observation="nothing", action=drive)
+    (score,) = evaluate(policy, [LAYOUT], rollouts=1, workers=0)
+    env = gymnasium.make(LAYOUT, observation="state", action_space="continuous")
+    env.reset(seed=evaluation_seed(0))
+    ended = False
+    while not ended:
+        *_, ended, info = env.step(np.array(drive))
+    assert score.score == info["eval_score"]
 
 
-def test_an_expert_runs_in_no_negative_number_of_processes() -> None:
-    with pytest.raises(ValueError, match="workers: expected at least 0"):
-        evaluate("expert", DEMO, rollouts=1, workers=-1)
-
-
-class Continuous:
-    action_space = "continuous"
-
-    def act(
-        self, observations: Any, env_ids: Sequence[str], rng: np.random.Generator
-    ) -> NDArray[np.float32]:
-        return np.zeros((len(env_ids), 3), np.float32)
-
-
-def test_a_policy_may_return_any_numbers_and_needs_no_reset() -> None:
-    assert len(evaluate(Continuous(), DEMO, rollouts=1, horizon=2, workers=0)) == 1  # and mypy
-
-
-@pytest.mark.parametrize("horizon", [None, 320, "320", "appendix"])
-def test_the_appendix_s_steps_are_the_appendix_s_horizon(horizon: Any) -> None:
-    env_ids = [EnvId("ClusterColour", "Demo")]
-    assert Evaluation.of(env_ids, horizon=horizon).horizon_name == "appendix"
-    assert Evaluation.of([*env_ids, DEMO], horizon=320).horizon_name == "320"
-    assert Evaluation.of(env_ids, horizon=240).horizon_name == "240"
-    assert Evaluation.of([*env_ids, DEMO], horizon="published").horizon_name == "published"
-
-
-class Reacting:
-    """Acts by what it observes; with `edits` it overwrites its observations afterwards."""
-
-    tasks = ("MoveToRegion",)
-
-    def __init__(self, observation: str, privileged: bool, edits: bool) -> None:
-        self.observation = observation
-        self.privileged = privileged
-        self.edits = edits
-
-    def act(self, observations: Any, env_ids: Sequence[str], rng: np.random.Generator) -> Actions:
-        arrays = self._arrays(observations)
-        sums = sum(np.abs(array).reshape(len(env_ids), -1).sum(axis=1) for array in arrays)
-        if self.edits:
-            for array in arrays:
-                array[...] = 7
-        return (1000 * np.asarray(sums)).astype(np.int64) % 18
-
-    def reset(self, mask: Mask) -> None:
-        pass
-
-    def _arrays(self, observations: Any) -> list[Any]:
-        if self.privileged:
-            base = observations[0].poses.bodies.base
-            assert base is not None
-            return [base, observations[0].velocities.base]
-        return list(observations.values()) if isinstance(observations, dict) else [observations]
-
-
-@pytest.mark.parametrize("workers", [0, 1])
-@pytest.mark.parametrize(
-    "observation", ["LoRes4E", "LoRes3EA", "LoResStack", "state", "true state"]
-)
-def test_a_policy_that_edits_its_observations_changes_nothing(
-    observation: str, workers: int
-) -> None:
-    privileged = observation == "true state"
-    results = [
-        evaluate(
-            Reacting("state" if privileged else observation, privileged, edits),
-            [DEMO],
-            rollouts=2,
-            horizon=6,
-            workers=workers,
-        )
-        for edits in (False, True)
-    ]
-    assert results[0] == results[1]
-
-
-def test_a_nudge_gives_every_rollout_its_own_start() -> None:
-    exact, nudged = Watching(privileged=True), Watching(privileged=True)
-    evaluate(exact, [DEMO], rollouts=3, horizon=1, workers=0)
-    scores = evaluate(nudged, [DEMO], rollouts=3, horizon=1, nudge=1e-9, workers=0)
+def test_privileged_policies_see_states_which_noise_moves() -> None:
+    exact, moved = Watching(privileged=True), Watching(privileged=True)
+    evaluate(exact, [DEMO], rollouts=3, horizon=2, workers=0)
+    scores = evaluate(moved, [DEMO], rollouts=3, horizon=2, nudge=NOISE, workers=0)
+    assert all(isinstance(state, State) for state in exact.acts[1][0])
+    assert [state.step for state in exact.acts[1][0]] == [1, 1, 1]
     same, starts = (
-        np.stack([state.poses.bodies for state in policy.acts[0][0]]) for policy in (exact, nudged)
+        np.stack([state.poses.bodies for state in policy.acts[0][0]]) for policy in (exact, moved)
     )  # (3, 5, 3) each
     assert np.array_equal(same[0], same[1])
     assert len(np.unique(starts[:, 0, 0])) == 3
@@ -301,66 +196,68 @@ def test_a_nudge_gives_every_rollout_its_own_start() -> None:
     assert [row.seed for row in scores] == [evaluation_seed(i) for i in range(3)]
 
 
-@pytest.mark.parametrize("name", ["random", "expert"])
-def test_a_nudge_does_not_depend_on_processes(name: str) -> None:
-    policy = load_policy(name)
-    one = evaluate(policy, [DEMO], rollouts=12, nudge=1e-9, workers=0)
-    assert evaluate(policy, [DEMO], rollouts=12, nudge=1e-9, workers=2) == one
-
-
-class Drives:
-    """Drives at half speed in continuous environments."""
-
-    action_space = "continuous"
-    observation = "nothing"
-
-    def __init__(self, speed: float = 0.5) -> None:
-        self.speed = speed
-
-    def act(self, observations: Any, env_ids: Sequence[EnvId], rng: np.random.Generator) -> Actions:
-        return np.tile([self.speed, 0.0, -1.0], (len(env_ids), 1))
-
-    def reset(self, mask: Mask) -> None:
-        pass
-
-
-def test_policies_with_continuous_actions_are_evaluated_in_such_environments() -> None:
-    env_id = "magical/MoveToRegion-TestJitter-v0"
-    (score,) = evaluate(Drives(), [env_id], rollouts=1, workers=0)
-    env = gymnasium.make(env_id, observation="state", action_space="continuous")
-    env.reset(seed=evaluation_seed(0))
-    ended = False
-    while not ended:
-        *_, ended, info = env.step(np.array([0.5, 0.0, -1.0]))
-    assert score.score == info["eval_score"]
+@pytest.mark.parametrize("task", TASKS)
+def test_noise_moves_robot_and_blocks_and_cannot_be_seen(task: str) -> None:
+    env = MagicalEnv(task, "TestAll" if task == "MoveToCorner" else "Demo", observation="LoRes4E")
+    exact_frames, _ = env.reset(seed=0)
+    exact, sampled = env.state().poses.bodies, env.simulation.dynamics
+    env_id = EnvId(task, env.variant)
+    scene, dynamics = noisy_start(env_id, 0, NOISE)
+    assert dynamics == sampled
+    assert (scene, dynamics) == noisy_start(env_id, 0, NOISE)
+    frames, _ = env.reset(seed=0, options={"scene": scene, "dynamics": dynamics})
+    moved = np.r_[0, 5 : len(exact)]  # the robot and the blocks
+    shift = np.abs(env.state().poses.bodies - exact)[moved]
+    assert 0 < shift.min() <= shift.max() <= NOISE * 1.001
+    assert np.array_equal(frames, exact_frames)
 
 
 @pytest.mark.parametrize(
-    ("policy", "message"),
+    "env_id", [EnvId("ClusterShape", "TestShape"), EnvId("ClusterColour", "Demo")]
+)
+def test_scenes_that_touch_still_fit_with_the_most_noise(env_id: EnvId) -> None:
+    """The poses of ClusterShape's Demo reach into a wall, and ClusterColour's overlap."""
+    for seed in range(20):
+        noisy_start(env_id, seed, MAX_NOISE)
+
+
+def test_seeds_and_streams_are_the_same_in_all_versions() -> None:
+    assert [evaluation_seed(i) for i in range(3)] == [1_000_000_000, 1_000_000_001, 1_000_000_002]
+    assert evaluation_seed(3, seed=2) == 1_002_000_003
+    assert rollout_stream("magical/FindDupe-Demo-v0", 7) == (7, 2_007_158_634)
+    assert rollout_stream("magical/FindDupe-TestAll-v0", 7) == (7, 1_583_955_812)
+
+
+@pytest.mark.parametrize("name", ROW_METHODS)
+@pytest.mark.parametrize("rest", [(), (18,)])
+def test_a_row_samples_the_same_in_any_batch(name: str, rest: tuple[int, ...]) -> None:
+    parameters = (2**40,) if name == "integers" else ()
+    large, small = RolloutRng("abab", [5, 6, 7, 8]), RolloutRng("ab", [7, 4])
+    for _ in range(3):
+        many = getattr(large, name)(*parameters, size=(4, *rest))
+        few = getattr(small, name)(*parameters, size=(2, *rest))
+        assert many.shape == (4, *rest)
+        np.testing.assert_array_equal(many[2], few[0])
+        assert not np.array_equal(many[0], many[1])
+
+
+def test_sizes_may_be_plain_numbers_and_positional() -> None:
+    first, second = RolloutRng("ab", [1, 2]), RolloutRng("ab", [1, 2])
+    np.testing.assert_array_equal(first.integers(0, 18, 2), second.integers(18, size=(2,)))
+    one, other = RolloutRng("ab", [1, 1]).random((2, 5))  # environments share no stream
+    assert not set(one) & set(other)
+
+
+@pytest.mark.parametrize(
+    "sample",
     [
-        (Drives(np.nan), "found drive nan in row 0"),
-        (Drives(1.5), "found drive 1.5 in row 0"),
-        (
-            lambda observations, env_ids, rng: np.zeros((len(env_ids), 3)),
-            r"expected integers from 0 to 17 of shape \(1,\), found <array of shape",
-        ),
+        lambda rng: rng.random(),
+        lambda rng: rng.normal(np.zeros(2), size=2),
+        lambda rng: rng.random(2, out=np.empty(2)),
+        lambda rng: rng.choice(18, size=2),
     ],
 )
-def test_other_continuous_actions_are_named(policy: Any, message: str) -> None:
-    with pytest.raises(PolicyError, match=message):
-        evaluate(policy, ["magical/MoveToRegion-Demo-v0"], rollouts=1, workers=0)
-
-
-def test_an_unknown_action_space_is_named() -> None:
-    policy = Drives()
-    policy.action_space = "box"
-    with pytest.raises(UnknownNameError, match="expected discrete or continuous"):
-        evaluate(policy, ["magical/MoveToRegion-Demo-v0"], rollouts=1, workers=0)
-
-
-@pytest.mark.parametrize("workers", [0, 2])
-def test_the_expert_scores_the_same_with_points(workers: int) -> None:
-    env_ids = ["magical/MoveToCorner-TestJitter-v0"]
-    policies = [ExpertPolicy(0.3, action_space=name) for name in ("discrete", "continuous")]
-    first, second = (evaluate(p, env_ids, rollouts=3, workers=workers) for p in policies)
-    assert first == second
+def test_other_samples_come_from_the_common_stream(sample: Any) -> None:
+    words = [*rollout_stream("a", 1), *rollout_stream("b", 2)]
+    common = np.random.Generator(np.random.PCG64(words))
+    np.testing.assert_array_equal(sample(RolloutRng("ab", [1, 2])), sample(common))

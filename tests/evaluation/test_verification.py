@@ -1,6 +1,5 @@
 """Running a sample of an entry's rollouts again."""
 
-import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +16,6 @@ from magical.evaluation import (
     Entry,
     Evaluation,
     FunctionPolicy,
-    NoopPolicy,
     RandomPolicy,
     Record,
     RolloutScore,
@@ -45,9 +43,9 @@ class BatchSizes(RandomPolicy):
 
 
 def test_a_round_is_a_batch_of_the_evaluation() -> None:
-    evaluation = Evaluation.of(IDS, rollouts=50, horizon=12)
+    evaluation = Evaluation.of(IDS, rollouts=23, horizon=12)
     scores = roll_out(BatchSizes(), evaluation, workers=0)
-    for number, expected in ((0, range(17)), (20, range(17, 34)), (49, range(34, 50))):
+    for number, expected in ((0, range(12)), (11, range(12)), (22, range(12, 23))):
         found = evaluate_round(BatchSizes(), evaluation, number, workers=0)
         assert found == [row for row in scores if row.rollout in expected]
 
@@ -58,7 +56,7 @@ def test_a_round_of_a_policy_that_runs_in_processes() -> None:
     assert found == [row for row in scores if row.rollout >= 10]
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def entry() -> Entry:
     scores = evaluate(RandomPolicy(), IDS, rollouts=30, horizon=20, nudge=1e-4, seed=2, workers=0)
     return entry_of("m", scores, observation="state", horizon="20", nudge=1e-4, seed=2)
@@ -68,82 +66,92 @@ def test_the_scores_of_the_same_policy_are_confirmed(entry: Entry) -> None:
     rng = np.random.default_rng(0)
     found = verify(entry, RandomPolicy(), rng=rng, workers=0)
     assert found.confirmed
-    assert found.equal == len(found.recorded) in (3 * 15, 3 * 30)
+    assert found.equal == len(found.recorded) == 3 * 15
+    assert (found.total, found.share) == (90, 0.5)
     assert set(found.by_environment()) == set(IDS)
     everything = verify(entry, RandomPolicy(), rounds=99, rng=rng, workers=0)
     assert sorted(everything.again) == sorted(entry.scores)
 
 
-class Undecided:
-    """Acts by what it sees, and has no observation of its own."""
-
-    def act(self, observations: Any, env_ids: Sequence[str], rng: np.random.Generator) -> Actions:
-        actions: Actions = observations.reshape(len(env_ids), -1).astype(np.int64).sum(axis=1) % 18
-        return actions
-
-    def reset(self, mask: Any) -> None:
-        pass
+def by_sight(observations: Any, env_ids: Sequence[str], rng: np.random.Generator) -> Any:
+    return observations.reshape(len(env_ids), -1).astype(np.int64).sum(axis=1) % 18
 
 
 @pytest.mark.parametrize("observation", ["LoRes4A", {"parts": (("allo", 2),), "size": 48}])
 def test_a_policy_is_shown_again_what_it_was_shown(observation: Observation) -> None:
-    evaluation = Evaluation.of(IDS, rollouts=2, observation=observation)
-    shown = roll_out(Undecided(), evaluation, workers=0)
-    made = Entry.of(Undecided(), evaluation, method="m", scores=shown, record=Record())
-    rng = np.random.default_rng(0)
-    found = verify(made, Undecided(), rng=rng, workers=0)
+    policy, rng = FunctionPolicy(by_sight), np.random.default_rng(0)
+    evaluation = Evaluation.of(IDS[:1], rollouts=2, horizon=20, observation=observation)
+    shown = roll_out(policy, evaluation, workers=0)
+    made = Entry.of(policy, evaluation, method="m", scores=shown, record=Record())
+    found = verify(made, policy, rng=rng, workers=0)
     assert found.confirmed
     assert found.exact
-    assert not verify(made, Undecided(), rng=rng, elsewhere=True, workers=0).exact
+    assert not verify(made, policy, rng=rng, elsewhere=True, workers=0).exact
 
 
 def test_the_scores_of_another_policy_are_not(entry: Entry) -> None:
     perfect = [row._replace(score=1.0, published_code_score=1.0) for row in entry.scores]
+    rng = np.random.default_rng(0)
     better = replace(entry, scores=perfect)
-    for elsewhere in (True, False):
-        rng = np.random.default_rng(0)
-        found = verify(better, RandomPolicy(), rng=rng, elsewhere=elsewhere, workers=0)
-        assert found.exact  # without a network, on every machine
-        assert not found.confirmed
-        assert not replace(found, exact=False).confirmed
-        assert found.mean_changes()[0].high < 0.0
+    found = verify(better, RandomPolicy(), rng=rng, elsewhere=True, workers=0)
+    assert found.exact  # without a network, on every machine
+    assert not found.confirmed
+    assert not replace(found, exact=False).confirmed
+    assert found.mean_changes()[0].high < 0.0
 
 
 def rows(*scores: float, env_id: EnvId = DEMO) -> list[RolloutScore]:
     return [RolloutScore(env_id, i, i, score, score) for i, score in enumerate(scores)]
 
 
-def test_elsewhere_changes_that_cancel_are_not_held_against_it() -> None:
-    old, now = rows(0.0, 1.0, 0.5, 0.5), rows(1.0, 0.0, 0.5, 0.5)
-    assert Verification(old, now, exact=False).confirmed
-    assert not Verification(old, now, exact=True).confirmed
-    assert Verification(old, now, exact=False).equal == 2
-    published = [row._replace(published_code_score=0.2) for row in old]
-    assert Verification(old, published, exact=True).equal == 0
-
-
-def test_one_changed_rollout_elsewhere_shows_nothing_and_here_it_does() -> None:
-    found = Verification(rows(0, 0, 0, 0), rows(0, 0, 0, 1), exact=False)
+def test_changes_have_an_interval_and_count_unless_all_must_be_equal() -> None:
+    found = Verification(rows(0, 0, 0, 0), rows(0, 0, 0, 1), exact=False, total=4)
     # The changes' standard deviation is 1/2, that of their mean 1/4; t(3) = 3.182446.
     half = 3.182446 / 4
     assert found.mean_changes()[0] == pytest.approx((0.25, 0.25 - half, 1.0))
-    assert found.confirmed
+    assert (found.equal, found.confirmed) == (3, True)
     assert not replace(found, exact=True).confirmed
 
 
-def test_a_sample_is_said_to_be_one(entry: Entry) -> None:
-    found = verify(entry, RandomPolicy(), rng=np.random.default_rng(0), workers=0)
-    assert found.total == 90
-    assert found.share == len(found.recorded) / 90 < 1.0
-    assert Verification(rows(0.5), rows(0.5), exact=True).share == 1.0
+def swapped(good: list[float], bad: list[float], count: int = 2) -> Any:
+    """What is claimed and found if environments' scores are swapped: the mean does not change."""
+    ids, scores = environments(["MoveToRegion", "MoveToCorner"])[:count], (good, bad)
+    now = [row for k, i in enumerate(ids) for row in rows(*scores[k % 2], env_id=i)]
+    return [row for k, i in enumerate(ids) for row in rows(*scores[1 - k % 2], env_id=i)], now
+
+
+HALF = rows(*[0.5] * 8)
+
+
+@pytest.mark.parametrize(
+    ("claimed", "now", "confirmed"),
+    [
+        (HALF, HALF, True),
+        (*swapped([1.0] * 7 + [0.0], [1.0] + [0.0] * 7), False),
+        (*swapped([1.0], [0.0]), False),  # one rollout tells nothing
+        # In each environment the mean change, 5/8, is 3.42 times its standard error: the more
+        # environments, the more often one changes so by chance.
+        (*swapped([1.0] * 5 + [0.0] * 3, [0.0] * 8), False),
+        (*swapped([1.0] * 5 + [0.0] * 3, [0.0] * 8, 12), True),
+        # A change by one rule is not cancelled by the other.
+        (
+            [row._replace(score=0.9, published_code_score=row.rollout % 2 / 2) for row in HALF],
+            HALF,
+            False,
+        ),
+    ],
+)
+def test_elsewhere_environments_and_rules_do_not_cancel(
+    claimed: list[RolloutScore], now: list[RolloutScore], confirmed: bool
+) -> None:
+    assert Verification(claimed, now, exact=False, total=len(now)).confirmed == confirmed
 
 
 def test_rules_that_are_the_same_give_the_same_score_in_every_row(entry: Entry) -> None:
     *others, last = entry.scores
     changed = replace(entry, scores=[*others, last._replace(published_code_score=0.123)])
-    for _ in range(3):
-        with pytest.raises(ScoresError, match="rollout 29: expected equal scores by both rules"):
-            verify(changed, RandomPolicy(), rng=np.random.default_rng(), workers=0)
+    with pytest.raises(ScoresError, match="rollout 29: expected equal scores by both rules"):
+        verify(changed, RandomPolicy(), rng=np.random.default_rng(), workers=0)
 
 
 def test_another_kind_of_policy_is_refused(entry: Entry) -> None:
@@ -152,9 +160,8 @@ def test_another_kind_of_policy_is_refused(entry: Entry) -> None:
     with pytest.raises(PolicyError, match="privileged"):
         verify(entry, policy, rng=rng)
     how = replace(entry.evaluated, observation="LoRes4A", privileged=False)
-    shown = replace(entry, evaluated=how)
     with pytest.raises(PolicyError, match="LoRes4A"):
-        verify(shown, policy, rng=rng)
+        verify(replace(entry, evaluated=how), policy, rng=rng)
 
 
 HERE = {"name": "a", "processor": "p", "cores": "2"}
@@ -166,12 +173,8 @@ HERE = {"name": "a", "processor": "p", "cores": "2"}
         ({"machine": {**HERE, "name": "b"}, "versions": {"numpy": "1"}}, False),
         ({"machine": HERE, "versions": {"numpy": "2"}}, True),
         ({"machine": HERE, "versions": {"numpy": "1", "plugin": "1"}}, True),
-        ({"machine": HERE, "versions": {"python": "3"}}, False),
-        ({"machine": {**HERE, "processor": "q"}, "versions": {"numpy": "1"}}, True),
         ({"machine": {**HERE, "processor": "q"}}, False),
-        ({"machine": {"name": "b"}, "versions": {"numpy": "1"}}, False),
         ({"versions": {"numpy": "2"}}, False),
-        ({}, False),
     ],
 )
 def test_another_machine_counts_only_where_it_is_stated(
@@ -180,51 +183,11 @@ def test_another_machine_counts_only_where_it_is_stated(
     assert is_elsewhere(Record(**stated), HERE, {"numpy": "1", "python": "3"}) == expected
 
 
-@pytest.mark.parametrize(
-    ("good", "bad"),
-    [([1.0] * 7 + [0.0], [1.0] + [0.0] * 7), ([1.0], [0.0])],
-    ids=["eight rollouts", "one, which tells nothing"],
-)
-def test_swapped_environments_do_not_cancel(good: list[float], bad: list[float]) -> None:
-    first, second = (EnvId("MoveToRegion", variant) for variant in ("Demo", "TestAll"))
-    now = rows(*good, env_id=first) + rows(*bad, env_id=second)
-    claimed = rows(*bad, env_id=first) + rows(*good, env_id=second)
-    assert Verification(now, now, exact=False).confirmed
-    found = Verification(claimed, now, exact=False)
-    assert found.mean_changes()[0].value == 0.0
-    assert not found.confirmed
-
-
-@pytest.mark.parametrize(("count", "confirmed"), [(2, False), (12, True)])
-def test_the_more_environments_the_more_often_one_changes_by_chance(
-    count: int, confirmed: bool
-) -> None:
-    env_ids = environments(["MoveToRegion", "MoveToCorner"])[:count]
-    better, worse = [1.0] * 5 + [0.0] * 3, [0.0] * 8
-    now = [row for i in env_ids[::2] for row in rows(*better, env_id=i)]
-    now += [row for i in env_ids[1::2] for row in rows(*worse, env_id=i)]
-    claimed = [row for i in env_ids[::2] for row in rows(*worse, env_id=i)]
-    claimed += [row for i in env_ids[1::2] for row in rows(*better, env_id=i)]
-    found = Verification(claimed, now, exact=False)
-    # In each the mean change, 5/8, is 3.42 times its standard error; over all it is 0.
-    assert found.mean_changes()[0].value == 0.0
-    assert found.confirmed == confirmed
-
-
-def test_a_change_by_one_rule_is_not_cancelled_by_the_other() -> None:
-    now = rows(*[0.5] * 8)
-    claimed = [
-        row._replace(score=0.9, published_code_score=0.5 if row.rollout % 2 else 0.09)
-        for row in now
-    ]
-    assert not Verification(claimed, now, exact=False).confirmed
-
-
 def test_the_command_confirms_or_exits_with_1(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    argv = ["--task", "MoveToRegion", "--variants", "Demo", "All", "--rollouts", "4"]
-    options = ["--workers", "0", "--horizon", "20", "--noise", "1e-9"]
+    argv = ["--task", "MoveToRegion", "--variants", "Demo", "--rollouts", "70"]
+    options = ["--workers", "0", "--horizon", "2", "--noise", "1e-9"]
     cli.main(["evaluate", "random", *argv, *options, "--out", str(tmp_path)])
     record = read_entry(tmp_path).record
     assert (record.policy, record.learned_from) == ("random", ())
@@ -233,46 +196,23 @@ def test_the_command_confirms_or_exits_with_1(
     verify = ["verify", str(tmp_path), "--workers", "0", "--seed", "1"]
     assert cli.main([*verify, "--json"]) == 0
     out = capsys.readouterr().out
-    assert "all 8 rollouts run again\nconfirmed: 8 of 8" in out
-    assert "MoveToRegion  All " in out
-    assert '"equal": 8' in out
+    assert "35 of 70 rollouts run again: one altered score is found with probability 0.50" in out
+    assert '"total": 70, "equal": 35' in out
+    assert cli.main([*verify, "--rounds", "2"]) == 0
+    assert "all 70 rollouts run again\nconfirmed: 70 of 70" in capsys.readouterr().out
     scores = tmp_path / "scores.csv"
     scores.write_text(scores.read_text().replace(",0.0,0.0", ",1.0,1.0"))
     assert cli.main(verify) == 1
     assert "not confirmed" in capsys.readouterr().out
 
 
-def test_the_command_says_what_its_sample_can_find(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    argv = ["--task", "MoveToRegion", "--variants", "Demo", "--rollouts", "80"]
-    options = ["--workers", "0", "--horizon", "2"]
-    cli.main(["evaluate", "random", *argv, *options, "--out", str(tmp_path)])
-    capsys.readouterr()
-    assert cli.main(["verify", str(tmp_path), "--workers", "0", "--json"]) == 0
-    out = capsys.readouterr().out
-    assert "of 80 rollouts run again: one altered score is found with probability 0." in out
-    assert '"total": 80' in out
-
-
 def test_code_that_an_entry_names_is_not_run(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], entry: Entry
 ) -> None:
     (tmp_path / "bad.py").write_text("raise SystemExit('run')\n")
-    scores = evaluate(NoopPolicy(), IDS[:1], rollouts=1, workers=0)
-    name = f"{tmp_path / 'bad.py'}:policy"
-    entry_of("m", scores, record={"policy": name}).write(tmp_path)
+    record = Record(policy=f"{tmp_path / 'bad.py'}:policy")
+    replace(entry, record=record).write(tmp_path)
     assert cli.main(["verify", str(tmp_path)]) == 1
     err = capsys.readouterr().err
     assert "expected a run folder or one of random, noop, expert" in err
     assert "by --policy" in err
-
-
-@pytest.mark.parametrize("horizon", ["soon", "0", "-1", "1e3", ""])
-def test_an_impossible_horizon_is_refused(tmp_path: Path, horizon: str) -> None:
-    scores = evaluate(NoopPolicy(), IDS[:1], rollouts=1, workers=0)
-    entry_of("m", scores).write(tmp_path)
-    file = tmp_path / "entry.json"
-    file.write_text(json.dumps({**json.loads(file.read_text()), "horizon": horizon}))
-    with pytest.raises(ScoresError, match="horizon: expected"):
-        read_entry(tmp_path)

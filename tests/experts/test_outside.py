@@ -11,7 +11,7 @@ from magical.demos import Dataset
 from magical.demos.generate import generate
 from magical.errors import InvalidTaskError
 from magical.evaluation import evaluate
-from magical.evaluation.expert import ExpertPolicy
+from magical.evaluation.policy import ExpertPolicy
 from magical.experts import modules_of
 from magical.tasks import get_task, register_task, unregister_task
 from tests.experts import outside_task

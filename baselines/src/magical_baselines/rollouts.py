@@ -19,7 +19,7 @@ from magical.envs.seeds import sample_training_seeds
 from magical.envs.vector import MagicalVectorEnv
 from magical.errors import InvalidConfigError
 from magical.evaluation.protocol import Evaluation
-from magical.evaluation.rollouts import RepeatedEvaluation
+from magical.evaluation.rollouts import roll_out
 from magical.observe import ObservationSpec
 from magical.runs import INTERACTION
 from magical.scene import NUM_ACTIONS
@@ -349,12 +349,11 @@ class InteractionTrainer:
     """A policy, its optimiser, and the environments of the tasks' Demo variants.
 
     It is a context manager: on entry, the environments are opened, and started or resumed from the
-    run's checkpoint. Evaluation environments are created for the first evaluation, then reused.
+    run's checkpoint.
     """
 
     envs: RolloutEnvs
     _stack: ExitStack
-    _evaluation: RepeatedEvaluation | None = None
 
     def __init__(
         self,
@@ -404,18 +403,14 @@ class InteractionTrainer:
 
     def _evaluate(self) -> float:
         """The mean score of the current weights; the network is in training mode afterwards."""
-        if not self._evaluation:
-            config = self.config
-            policy = NetworkPolicy(self.network, config, self.compute)
-            how = Evaluation(
-                env_ids=tuple(EnvId(task, "Demo") for task in config.tasks),
-                rollouts=EVALUATION_ROLLOUTS,
-                seed=EVALUATION_SEED,
-                horizon=config.env_horizon,
-            )
-            self._evaluation = RepeatedEvaluation(policy, how, config.workers)
-            self._stack.callback(self._evaluation.close)
-        self.network.eval()
-        scores = self._evaluation.scores()
+        config = self.config
+        evaluation = Evaluation(
+            env_ids=tuple(EnvId(task, "Demo") for task in config.tasks),
+            rollouts=EVALUATION_ROLLOUTS,
+            seed=EVALUATION_SEED,
+            horizon=config.env_horizon,
+        )
+        policy = NetworkPolicy(self.network, config, self.compute)  # in evaluation mode
+        scores = roll_out(policy, evaluation, workers=config.workers)
         self.network.train()
         return float(np.mean([score.score for score in scores]))

@@ -25,8 +25,7 @@ from magical.evaluation import (
     summarise,
 )
 from magical.evaluation.entry import record_of
-from magical.evaluation.noise import MAX_NOISE
-from magical.evaluation.protocol import NUDGE, Evaluation
+from magical.evaluation.protocol import MAX_NOISE, NUDGE, Evaluation
 from magical.evaluation.rollouts import roll_out
 from magical.evaluation.statistics import gap_weights, over_rollouts, rollout_mean
 from magical.messages import decimals, quoted

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from magical.commands import _common as common
-from magical.evaluation.loading import policy_of
+from magical.evaluation.entry import policy_of
 from magical.extras import require
 from magical.report.found import find_results
 from magical.report.page import FORMATS, all_tables, format_of, plain_rows, write_page

@@ -16,7 +16,7 @@ import numpy as np
 
 from magical.commands import _common as common
 from magical.evaluation import load_policy, read_entry
-from magical.evaluation.loading import policy_of, recorded_threads
+from magical.evaluation.entry import policy_of
 from magical.evaluation.verification import Verification, is_elsewhere, verify
 from magical.messages import decimals
 from magical.runs import machine, versions
@@ -38,15 +38,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     entry = read_entry(args.entry)
     policy = load_policy(args.policy) if args.policy else policy_of(args.entry, entry)
-    with recorded_threads(policy, entry):
-        found = verify(
-            entry,
-            policy,
-            rounds=args.rounds,
-            rng=np.random.default_rng(args.seed),
-            elsewhere=is_elsewhere(entry.record, machine(), versions()),
-            workers=args.workers,
-        )
+    found = verify(
+        entry,
+        policy,
+        rounds=args.rounds,
+        rng=np.random.default_rng(args.seed),
+        elsewhere=is_elsewhere(entry.record, machine(), versions()),
+        workers=args.workers,
+    )
     rows = [
         {
             "task": env_id.task,

@@ -1,8 +1,24 @@
 """Policies, evaluation with fixed seeds, statistics, and the published scores. Needs no torch."""
 
-from magical.evaluation.entry import Entry, Record, read_entry, read_scores, write_scores
-from magical.evaluation.loading import BUILT_IN, load_policy, policy_names
-from magical.evaluation.policy import FunctionPolicy, NoopPolicy, Policy, RandomPolicy
+from magical.evaluation.entry import (
+    Entry,
+    Record,
+    RolloutScore,
+    by_variant,
+    read_entry,
+    read_scores,
+    summarise,
+    write_scores,
+)
+from magical.evaluation.policy import (
+    BUILT_IN,
+    FunctionPolicy,
+    NoopPolicy,
+    Policy,
+    RandomPolicy,
+    load_policy,
+    policy_names,
+)
 from magical.evaluation.protocol import Evaluation, environments
 from magical.evaluation.published import (
     difference_from_published,
@@ -12,7 +28,6 @@ from magical.evaluation.published import (
     published_tasks,
 )
 from magical.evaluation.rollouts import evaluate
-from magical.evaluation.scores import RolloutScore, by_variant, summarise
 
 __all__ = [
     "BUILT_IN",

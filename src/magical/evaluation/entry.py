@@ -1,9 +1,9 @@
-"""Evaluated runs on disk, each in a folder or many together (docs/protocol.md).
+"""Scores and evaluated runs: in memory, and on disk in a folder each or many together.
 
 An entry is how a policy was evaluated, what it learned from, and its scores: `entry.json` and
 `scores.csv` in a folder. A collection is many of them: `entries.json` has the contents of each
 `entry.json` by name, `scores.csv.gz` the rows of all `scores.csv`, each preceded by the name. A
-hundred runs take a hundredth of the space of their folders.
+hundred runs take a hundredth of the space of their folders (docs/protocol.md).
 """
 
 import csv
@@ -12,36 +12,59 @@ import io
 import json
 import os
 import zlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from datetime import UTC, datetime
+from functools import lru_cache, partial
+from itertools import groupby
+from operator import attrgetter
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import IO, Annotated, Any, NamedTuple, Self
 
+import numpy as np
 from msgspec import Meta
 
 from magical import __version__
+from magical.envs import EnvId, parse_env_id
 from magical.envs.action_spec import DISCRETE
-from magical.errors import MagicalError, ScoresError
-from magical.evaluation.policy import Policy, action_spec_of, observed
+from magical.envs.seeds import evaluation_seed
+from magical.errors import MagicalError, PolicyError, ScoresError
+from magical.evaluation.policy import Policy, action_spec_of, load_policy, observed, policy_names
 from magical.evaluation.protocol import Evaluated, Evaluation
-from magical.evaluation.scores import HEADER, MAX_ROWS, RolloutScore, check_protocol, parse_rows
 from magical.files import convert, read_json, reading, write_atomically, write_json
-from magical.messages import quoted
+from magical.grouping import group_by
+from magical.messages import printable, quoted
 from magical.observe import STATE, Observation, parse_spec
-from magical.runs import parse_source, provenance
-from magical.tasks import parse_horizon
+from magical.runs import is_run, parse_source, provenance
+from magical.tasks.axes import short_variant
 from magical.tasks.horizons import APPENDIX
 
 SCORES_FILE, ENTRY_FILE = "scores.csv", "entry.json"
 ROWS_FILE, ENTRIES_FILE = "scores.csv.gz", "entries.json"
+MAX_ROWS = 60_000  # of an entry: 1,000 rollouts in each of sixty environments
+MAX_LINE = 2000  # characters
 COLLECTION_BYTES = 1 << 26  # of `entries.json`
 COLLECTION_ROWS = 1_000_000  # of a compressed file, which may hold any number
 MAX_THREADS = 1024  # the most that an entry can ask for
 
-Text = Annotated[str, Meta(max_length=200)]
+# Without control characters, ends of lines and changes of direction.
+_SHOWN = r"[^\x00-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069]*\Z"
+Text = Annotated[str, Meta(max_length=200, pattern=rf"^{_SHOWN}")]
 Count = Annotated[int, Meta(ge=0)]
+
+
+class RolloutScore(NamedTuple):
+    """One rollout and its final state's scores by both rules."""
+
+    env_id: EnvId
+    rollout: int
+    seed: int
+    score: float
+    published_code_score: float
+
+
+HEADER = RolloutScore._fields
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -91,6 +114,21 @@ def record_of(policy: Policy, name: str, out: Path) -> Record:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class _File:
+    """What `entry.json` holds."""
+
+    method: Annotated[str, Meta(max_length=200, pattern=rf"^(?=.*\S){_SHOWN}")]
+    observation: Text = ""
+    privileged: bool = False
+    action_space: Text = DISCRETE.name
+    horizon: Text = APPENDIX
+    nudge: float = 0.0
+    seed: Count = 0
+    version: Text = ""
+    record: Record = field(default_factory=Record)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Entry:
     """One training run's evaluation: how it was done, what was learned from, every score."""
 
@@ -100,26 +138,20 @@ class Entry:
     scores: Sequence[RolloutScore] = field(default=(), repr=False)
     version: str = __version__  # of this package
 
-    def __post_init__(self) -> None:
-        stated = (("method", self.method), ("observation", self.evaluated.observation))
-        for name, text in (*stated, ("version", self.version)):
-            if not str(text).isprintable():
-                raise ScoresError(f"{name}: expected printable characters, found {quoted(text)}")
-        if not self.method.strip():
-            raise ScoresError(f"method: expected a name, found {self.method!r}")
-
     @classmethod
     def of(
         cls, policy: Policy, evaluation: Evaluation, *, method: str, record: Record, **others: Any
     ) -> Self:
         """The entry for an evaluation; raises `ScoresError` for one with too many rollouts."""
+        if not method.strip():
+            raise ScoresError(f"method: expected a name, found {method!r}")
         if (count := len(evaluation.env_ids) * evaluation.rollouts) > MAX_ROWS:
             raise ScoresError(f"expected at most {MAX_ROWS} rollouts in an entry, found {count}")
         task = evaluation.env_ids[0].task_spec
         observation, privileged = observed(policy, evaluation.observation, task)
-        shown = {"observation": observation, "privileged": privileged}
-        shown["action_space"] = action_spec_of(policy).name
-        evaluated = Evaluated(env_ids=evaluation.env_ids, **(evaluation.settings | shown))
+        own = {"privileged": privileged, "action_space": action_spec_of(policy).name}
+        how = {**evaluation.settings, "observation": observation, **own}
+        evaluated = Evaluated(env_ids=evaluation.env_ids, **how)
         return cls(method=method, evaluated=evaluated, record=record, **others)
 
     @property
@@ -130,7 +162,7 @@ class Entry:
     @property
     def tasks(self) -> tuple[str, ...]:
         """The tasks that the policy was evaluated on."""
-        return tuple(dict.fromkeys(env_id.task for env_id in self.evaluated.env_ids))
+        return tuple(self.evaluated.by_task)
 
     def evaluation(self, policy: Policy) -> Evaluation:
         """The evaluation to repeat with the entry's policy."""
@@ -148,18 +180,17 @@ class Entry:
         Notes of an earlier entry there of the same method and policy are kept, and the larger
         number of test evaluations.
         """
-        target, entry = Path(folder) / ENTRY_FILE, self
+        target, record = Path(folder) / ENTRY_FILE, self.record
         with suppress(MagicalError):
             old = convert(_renamed(read_json(target, dict, ScoresError)), _File, "", ScoresError)
-            if (old.method, old.record.policy) == (self.method, self.record.policy):
-                numbers = (old.record.test_evaluations, self.record.test_evaluations)
+            if (old.method, old.record.policy) == (self.method, record.policy):
+                numbers = (old.record.test_evaluations, record.test_evaluations)
                 most = max((n for n in numbers if n is not None), default=None)
-                notes = self.record.notes or old.record.notes
-                entry = replace(
-                    self, record=replace(self.record, test_evaluations=most, notes=notes)
-                )
+                notes = record.notes or old.record.notes
+                record = replace(record, test_evaluations=most, notes=notes)
         with write_atomically(target) as file:
-            file.write((json.dumps(entry.stated, indent=2) + "\n").encode())
+            stated = replace(self, record=record).stated
+            file.write((json.dumps(stated, indent=2) + "\n").encode())
             file.flush()
             # Within, so that without space on the disk both files stay as they were.
             write_scores(self.scores, Path(folder) / SCORES_FILE)
@@ -167,35 +198,11 @@ class Entry:
     @property
     def stated(self) -> dict[str, Any]:
         """Everything except the scores as plain data: what `entry.json` holds."""
-        how = self.evaluated
-        stated = _File(
-            method=self.method,
-            observation=self.observation,
-            privileged=how.privileged,
-            action_space=how.action_space,
-            horizon=how.horizon_name,
-            nudge=how.nudge,
-            seed=how.seed,
-            version=self.version,
-        )
-        default = asdict(Record())
-        kept = {n: value for n, value in asdict(self.record).items() if value != default[n]}
-        return {**asdict(stated), "record": kept}
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _File:
-    """What `entry.json` holds."""
-
-    method: Text
-    observation: Text = ""
-    privileged: bool = False
-    action_space: Text = DISCRETE.name
-    horizon: Text = APPENDIX
-    nudge: float = 0.0
-    seed: Count = 0
-    version: Text = ""
-    record: Record = field(default_factory=Record)
+        how, default = self.evaluated, asdict(Record())
+        record = {k: value for k, value in asdict(self.record).items() if value != default[k]}
+        own = {"method": self.method, "version": self.version, "record": record}
+        settings = how.settings | {"observation": self.observation, "horizon": how.horizon_name}
+        return {each.name: (settings | own)[each.name] for each in fields(_File)}
 
 
 def _renamed(data: dict[str, Any]) -> dict[str, Any]:
@@ -203,39 +210,54 @@ def _renamed(data: dict[str, Any]) -> dict[str, Any]:
     details = data.get("details")
     if not isinstance(details, dict) or "record" in data:
         return data
-    kept, record = {**data}, {**details}
-    del kept["details"]
-    if "looks" in record:
-        record["test_evaluations"] = record.pop("looks")
+    record = {"test_evaluations" if n == "looks" else n: value for n, value in details.items()}
+    kept = {name: value for name, value in data.items() if name != "details"}
     if "action_space" in record:
         kept["action_space"] = record.pop("action_space")
     return {**kept, "record": record}
 
 
-def make_entry(data: dict[str, Any], scores: Sequence[RolloutScore], stated_in: str) -> Entry:
-    """An entry from the contents of `entry.json`; raises `ScoresError` saying what is wrong."""
+def _make_entry(data: dict[str, Any], scores: Sequence[RolloutScore], stated_in: str) -> Entry:
+    """An entry from the contents of `entry.json`; raises `ScoresError` saying what is wrong.
+
+    Every environment must have the same rollouts, each once and with the protocol's seed.
+    """
     file = convert(_renamed(data), _File, stated_in, ScoresError)
+    how = {each.name: getattr(file, each.name) for each in fields(file)}
+    others = {name: how.pop(name) for name in ("method", "record", "version")}
+    how["privileged"] |= file.observation == STATE
+    found = group_by(scores, attrgetter("env_id"))
+    count = max(map(len, found.values()), default=0)
+    expected = [(number, evaluation_seed(number, file.seed)) for number in range(count)]
+    for env_id, rows in found.items():
+        if sorted((row.rollout, row.seed) for row in rows) != expected:
+            raise ScoresError(
+                f"{stated_in}: {env_id}: expected rollouts 0 to {count - 1}, each once, with seeds "
+                f"from {expected[0][1]}, as `magical evaluate` makes them, found others"
+            )
     try:
-        check_protocol(scores, file.seed)
-        evaluated = Evaluated(
-            env_ids=tuple(dict.fromkeys(row.env_id for row in scores)),
-            rollouts=1 + max(row.rollout for row in scores),
-            seed=file.seed,
-            observation=file.observation,
-            horizon=parse_horizon(file.horizon),
-            nudge=file.nudge,
-            action_space=file.action_space,
-            privileged=file.privileged or file.observation == STATE,
-        )
-        return Entry(
-            method=file.method,
-            evaluated=evaluated,
-            record=file.record,
-            scores=scores,
-            version=file.version,
-        )
+        evaluated = Evaluated(env_ids=tuple(found), rollouts=count, **how)
     except (MagicalError, ValueError) as error:
         raise ScoresError(f"{stated_in}: {error}") from error
+    return Entry(evaluated=evaluated, scores=scores, **others)
+
+
+def policy_of(folder: Path, entry: Entry, run: Path | None = None) -> Policy:
+    """The policy of an evaluated run: from its run folder, or by a name in `policy_names`.
+
+    Other code that an entry names is not run, since entries may come from anywhere. `run` is the
+    run folder if the entry names none. Raises `PolicyError` if it has no such policy.
+    """
+    name = entry.record.policy
+    if name in policy_names():
+        return load_policy(name)
+    for place in (folder / name, run or folder):
+        if is_run(place):
+            return load_policy(place)
+    raise PolicyError(
+        f"{folder}: expected a run folder or one of {', '.join(policy_names())} as the policy "
+        f"that was evaluated, found {quoted(name)}; magical verify takes others by --policy"
+    )
 
 
 def read_entry(folder: Path | str) -> Entry:
@@ -248,19 +270,13 @@ def read_entry(folder: Path | str) -> Entry:
                 f"{name}; `magical evaluate POLICY --out {source}` writes them"
             )
     data = read_json(source / ENTRY_FILE, dict[str, Any], ScoresError)
-    return make_entry(data, read_scores(source / SCORES_FILE), str(source / ENTRY_FILE))
+    return _make_entry(data, read_scores(source / SCORES_FILE), str(source / ENTRY_FILE))
 
 
 def write_scores(scores: Iterable[RolloutScore], path: Path | str) -> None:
     """Write `scores.csv`; floats are read back unchanged."""
-    with write_atomically(path) as file, io.TextIOWrapper(file, "utf-8", newline="") as text:
-        _write_rows(text, HEADER, scores)
-
-
-def _write_rows(text: io.TextIOBase, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(header)
-    writer.writerows(rows)
+    with write_atomically(path) as file:
+        _write_rows(file, HEADER, scores)
 
 
 def read_scores(path: Path | str) -> list[RolloutScore]:
@@ -269,7 +285,7 @@ def read_scores(path: Path | str) -> list[RolloutScore]:
         reading(path, ScoresError),
         Path(path).open(encoding="utf-8", errors="replace", newline="") as text,
     ):
-        return [row for _, row in parse_rows(text, HEADER, path, MAX_ROWS)]
+        return [row for _, row in _parse_rows(text, HEADER, path, MAX_ROWS)]
 
 
 def write_collection(folder: Path, entries: Mapping[str, Entry]) -> None:
@@ -278,10 +294,9 @@ def write_collection(folder: Path, entries: Mapping[str, Entry]) -> None:
     with (
         write_atomically(folder / ROWS_FILE) as file,
         gzip.GzipFile("", "wb", fileobj=file, mtime=0) as packed,
-        io.TextIOWrapper(packed, "utf-8", newline="") as text,
     ):
         rows = ((name, *row) for name, entry in named for row in entry.scores)
-        _write_rows(text, ("entry", *HEADER), rows)
+        _write_rows(packed, ("entry", *HEADER), rows)
     write_json(folder / ENTRIES_FILE, {name: entry.stated for name, entry in named}, indent=1)
 
 
@@ -290,22 +305,92 @@ def read_collection(folder: Path) -> dict[str, Entry | ScoresError]:
 
     Raises `ScoresError` if a file is missing or damaged.
     """
-    stated = read_json(
-        folder / ENTRIES_FILE, dict[str, dict[str, Any]], ScoresError, max_bytes=COLLECTION_BYTES
-    )
-    path, scores = folder / ROWS_FILE, dict[str, list[RolloutScore]]()
+    file, path = folder / ENTRIES_FILE, folder / ROWS_FILE
+    kind = dict[str, dict[str, Any]]
+    stated = read_json(file, kind, ScoresError, max_bytes=COLLECTION_BYTES)
+    scores: dict[str, list[RolloutScore]] = {name: [] for name in stated}
     try:
         with gzip.open(path, "rt", encoding="utf-8", errors="replace", newline="") as text:
-            for (name,), row in parse_rows(text, ("entry", *HEADER), path, COLLECTION_ROWS):
+            for (name,), row in _parse_rows(text, ("entry", *HEADER), path, COLLECTION_ROWS):
                 scores.setdefault(name, []).append(row)
     except (OSError, EOFError, zlib.error) as error:
         raise ScoresError(f"{path}: expected compressed scores: {error}") from error
     entries: dict[str, Entry | ScoresError] = {}
     for name, data in stated.items():
         try:
-            entries[name] = make_entry(
-                data, scores.get(name, []), f"{folder / ENTRIES_FILE}: {name}"
-            )
+            entries[name] = _make_entry(data, scores[name], f"{file}: {name}")
         except ScoresError as error:
             entries[name] = error
     return entries
+
+
+def _write_rows(file: Any, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
+    with io.TextIOWrapper(file, "utf-8", newline="") as text:
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(header)
+        writer.writerows(rows)
+
+
+def _parse_rows(
+    text: IO[str], header: Sequence[str], what: object, most: int
+) -> Iterator[tuple[list[str], RolloutScore]]:
+    """The columns before `HEADER` and the score of each row of a CSV file of any origin.
+
+    Rows are bounded in length, and `most` is their largest number. Raises `ScoresError`, with
+    `what` at the beginning, for another header or a row that is not of a rollout.
+    """
+    # A longer line is read in parts, which are not valid rows.
+    lines, where = csv.reader(iter(partial(text.readline, MAX_LINE), "")), str(what)
+    try:
+        if tuple(found := next(lines, [])) != tuple(header):
+            shown = quoted(found) if found else "nothing"
+            raise ScoresError(f"expected the header {','.join(header)}, found {shown}")
+        for number, line in enumerate(lines, 1):
+            where = f"{what}, line {lines.line_num}"
+            if number > most:
+                raise ScoresError(f"expected at most {most} rows, found more")
+            if len(line) != len(header):
+                raise ScoresError(f"expected {','.join(header)}, found {quoted(line)}")
+            *others, name, rollout, seed, score, published = line
+            env_id = _parse_env_id(name)  # may be of a task that is not installed here
+            row = RolloutScore(env_id, int(rollout), int(seed), float(score), float(published))
+            if not (0.0 <= row.score <= 1.0 and 0.0 <= row.published_code_score <= 1.0):
+                raise ScoresError(f"expected scores from 0 to 1, found {quoted(line[-2:])}")
+            yield others, row
+    except (csv.Error, ValueError) as error:
+        raise ScoresError(f"{where}: {printable(str(error), 800)}") from error
+
+
+@lru_cache(1000)  # parsed once, not in every row
+def _parse_env_id(text: str) -> EnvId:
+    env_id = parse_env_id(text)
+    if env_id.preset is not None:
+        raise ScoresError(f"expected an environment id without preset, found {text}")
+    return env_id
+
+
+def by_variant(scores: Iterable[RolloutScore]) -> dict[str, dict[str, list[RolloutScore]]]:
+    """Group scores by task, then by the variant's short name, in the order of the rows."""
+    table: dict[str, dict[str, list[RolloutScore]]] = {}
+    for env_id, rows in groupby(scores, attrgetter("env_id")):  # mostly in order: a few groups
+        cells = table.setdefault(env_id.task, {})
+        cells.setdefault(short_variant(env_id.variant), []).extend(rows)
+    return table
+
+
+def summarise(scores: Iterable[RolloutScore]) -> dict[str, Any]:
+    """Summarise scores as plain data: variant -> `mean`, `std`, `scores`, `published_code_mean`.
+
+    `std` is over rollouts (divisor: their number). Nested by task if there are several.
+    """
+    table: dict[str, dict[str, Any]] = {}
+    for task, cells in by_variant(scores).items():
+        for variant, rows in cells.items():
+            values = [row.score for row in rows]
+            table.setdefault(task, {})[variant] = {
+                "mean": float(np.mean(values)),
+                "std": float(np.std(values)),
+                "scores": values,
+                "published_code_mean": float(np.mean([row.published_code_score for row in rows])),
+            }
+    return next(iter(table.values())) if len(table) == 1 else table

@@ -1,16 +1,19 @@
 """How a policy is evaluated: one record, from which rollouts, entries, plans and clips are made."""
 
-from collections.abc import Iterable
-from dataclasses import dataclass, fields
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, fields, replace
 from operator import attrgetter
 from typing import Any, Self
 
+from gymnasium.utils import seeding
+
 from magical.envs import EnvId, parse_env_id
 from magical.envs.action_spec import DISCRETE
-from magical.errors import UnknownNameError
-from magical.evaluation.noise import checked_noise
+from magical.errors import InvalidConfigError, InvalidSceneError, PlacementError, UnknownNameError
 from magical.grouping import group_by
 from magical.observe import Observation, make_spec
+from magical.scene import Dynamics, Pose, Scene
 from magical.tasks import (
     Horizon,
     format_horizon,
@@ -23,7 +26,10 @@ from magical.tasks.axes import full_variant, short_variant
 
 ROLLOUTS = 100  # on each variant (appendix C)
 SEED = 0  # the set of fixed seeds that results are reported for
-NUDGE = 1e-9  # the leaderboard's, in units and radians
+NUDGE = 1e-9  # evaluation noise of the leaderboard, in units and radians
+# Units and radians. Two bodies may then still overlap as far as those of any sampled scene.
+MAX_NOISE = 1e-4
+MAX_SCENES = 1000  # shifted at most for one rollout
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,9 +41,11 @@ class Evaluation:
         rollouts: the number of rollouts in each environment.
         seed: which set of fixed seeds.
         observation: what the policy is shown; `None` for its own or, if it has none, `LoRes4E`.
-        horizon: control steps, "published", or `None` for the appendix's.
-        nudge: the largest shift of initial poses, in units and radians: `NUDGE` for the
-            leaderboard, 0 for comparison with published scores.
+        horizon: control steps, or `None` for the appendix's; "published" for those of the published
+            tables, which must differ for at least one of the tasks.
+        nudge: evaluation noise, the largest shift of initial poses, in units and radians, sampled
+            from each rollout's seed: `NUDGE` for the leaderboard, 0 for comparison with published
+            scores. It averages over what rounding decides on Demo (docs/determinism.md).
 
     Raises:
         InvalidConfigError: an invalid horizon or nudge.
@@ -59,13 +67,11 @@ class Evaluation:
         if self.seed < 0:  # below 0 are the seeds of demonstrations and of training
             raise ValueError(f"seed: expected at least 0, found {self.seed}")
         object.__setattr__(self, "horizon", parse_horizon(self.horizon))
-        object.__setattr__(self, "nudge", checked_noise(self.nudge))
+        checked_noise(self.nudge)
 
     @classmethod
     def of(cls, env_ids: Iterable[str], **settings: Any) -> Self:
-        """An evaluation in environments given by ids of any form; duplicates count once.
-
-        A single id may be given as a string.
+        """An evaluation in environments given by ids of any form, or one; duplicates count once.
 
         Raises:
             UnknownNameError: an unknown environment or observation, or the published horizon for
@@ -74,7 +80,7 @@ class Evaluation:
                 observation.
         """
         given = [env_ids] if isinstance(env_ids, str) else env_ids
-        ids = dict.fromkeys(map(parse_env_id, given))
+        ids = list(map(parse_env_id, given))
         observation = settings.get("observation")
         for env_id in ids:
             if env_id.preset not in (None, observation):
@@ -110,7 +116,7 @@ class Evaluation:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Evaluated(Evaluation):
-    """How scores were obtained: the evaluation, with the policy's observation and action space.
+    """How scores were obtained: the evaluation, and what it took from the policy.
 
     Two scores in an environment are averaged only if this is equal, apart from other environments.
 
@@ -128,12 +134,8 @@ def environments(
 ) -> list[EnvId]:
     """Environment ids of the tasks' variants, by default of all importable tasks.
 
-    Short names of variants are accepted.
-
-    A single task or variant may be given as a string.
-
-    Raises `UnknownNameError` for unknown names, and for a task that is given and has none of the
-    variants.
+    Variants may have their short names; a single task or variant may be given as a string. Raises
+    `UnknownNameError` for unknown names, and for a task that is given and has none of the variants.
     """
     tasks = [tasks] if isinstance(tasks, str) else tasks
     variants = [variants] if isinstance(variants, str) else variants
@@ -142,10 +144,51 @@ def environments(
     for task in importable_tasks() if tasks is None else map(get_task, dict.fromkeys(tasks)):
         found = [name for name in task.variants if wanted is None or name in wanted]
         if not found and tasks is not None:
-            known = ", ".join(map(short_variant, task.variants))
-            raise UnknownNameError(
-                f"{task.name} has none of the variants {', '.join(sorted(wanted or ()))}; it has: "
-                f"{known}"
+            asked, known = (
+                ", ".join(sorted(wanted or ())),
+                ", ".join(map(short_variant, task.variants)),
             )
+            raise UnknownNameError(f"{task.name} has none of the variants {asked}; it has: {known}")
         env_ids += [EnvId(task.name, variant) for variant in found]
     return env_ids
+
+
+def checked_noise(noise: float) -> float:
+    """The largest shift, in units and radians; raises `InvalidConfigError` if out of range."""
+    if not 0.0 <= noise <= MAX_NOISE:
+        raise InvalidConfigError(
+            f"evaluation noise: expected a number from 0 to {MAX_NOISE}, found {noise}"
+        )
+    return noise
+
+
+def noisy_start(env_id: EnvId, seed: int, noise: float) -> tuple[Scene, Dynamics]:
+    """The scene and dynamics that an environment samples for a seed, with noise from this seed.
+
+    Robot and blocks are shifted and turned by uniform samples up to `noise`. Raises
+    `PlacementError` if none of `MAX_SCENES` such scenes fits the task.
+    """
+    task, (rng, _) = env_id.task_spec, seeding.np_random(seed)
+    scene, dynamics = task.sample(env_id.variant, rng)
+
+    def shift(pose: Pose) -> Pose:
+        return Pose(*(pose + rng.uniform(-noise, noise, size=3)).tolist())
+
+    for _ in range(MAX_SCENES):
+        robot = shift(scene.robot)
+        blocks = tuple(replace(block, pose=shift(block.pose)) for block in scene.blocks)
+        noisy = replace(scene, robot=robot, blocks=blocks)
+        with suppress(InvalidSceneError):
+            task.validate(noisy)
+            return noisy, dynamics
+    raise PlacementError(f"{env_id}: none of {MAX_SCENES} scenes with noise {noise:g} fits")
+
+
+def reset_options(
+    env_ids: Sequence[EnvId], seeds: Sequence[int], noise: float
+) -> dict[str, Any] | None:
+    """The options to reset a vector environment with, so that each row starts with noise."""
+    if not noise:
+        return None
+    starts = [noisy_start(each, seed, noise) for each, seed in zip(env_ids, seeds, strict=True)]
+    return {"scene": [scene for scene, _ in starts], "dynamics": [forces for _, forces in starts]}

@@ -15,14 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from magical.errors import UnknownNameError
-from magical.evaluation.statistics import (
-    CONFIDENCE,
-    FEWEST_RUNS,
-    Interval,
-    Spread,
-    check_range,
-    welch_interval,
-)
+from magical.evaluation.statistics import CONFIDENCE, FEWEST_RUNS, Interval, Spread, welch_interval
 from magical.tasks.axes import full_variant, short_variant
 
 PUBLISHED_RUNS = 5
@@ -56,20 +49,15 @@ def published_score(task: str, method: str, variant: str) -> Spread | None:
     `variant` may be short (`Jitter`) or as in ids (`TestJitter`). Raises `UnknownNameError` for a
     task, method or variant that is not in the tables.
     """
-    for what, name, known in (
-        ("task", task, published_tasks()),
-        ("method", method, published_methods()),
-    ):
+    for name, known in ((task, published_tasks()), (method, published_methods())):
         if name not in known:
             raise UnknownNameError(
-                f"{name!r} is not a {what} of the published tables; they have: {', '.join(known)}"
+                f"{name!r} is not in the published tables; expected one of: {', '.join(known)}"
             )
     return published_table().get((task, method, short_variant(full_variant(variant))))
 
 
-def difference_from_published(
-    means: ArrayLike, published: Spread, confidence: float = CONFIDENCE
-) -> Interval:
+def difference_from_published(means: ArrayLike, published: Spread) -> Interval:
     """The mean of our runs' means (runs,) minus the published one, with Welch's t interval.
 
     The published tables give a standard deviation over five runs, but not its divisor; the interval
@@ -77,11 +65,10 @@ def difference_from_published(
     than `FEWEST_RUNS`. The means are of one environment, by the published code's rule.
     """
     ours = np.asarray(means, np.float64)
-    check_range(ours)
     value = float(ours.mean()) - published.mean
     if len(ours) < FEWEST_RUNS:
         return Interval(value, math.nan, math.nan)
     published_std = max(published.std, RESOLUTION)
     variances = ours.var(ddof=1) / len(ours), published_std**2 / (PUBLISHED_RUNS - 1)
     degrees = len(ours) - 1, PUBLISHED_RUNS - 1
-    return welch_interval(value, variances, degrees, confidence, (-math.inf, math.inf))
+    return welch_interval(value, variances, degrees, CONFIDENCE, (-math.inf, math.inf))

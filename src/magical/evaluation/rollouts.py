@@ -1,9 +1,10 @@
 """Rollouts with fixed seeds: a policy, environments, scores."""
 
+import functools
+import inspect
+import zlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import ExitStack
-from dataclasses import replace
-from functools import partial
+from contextlib import closing
 from typing import Any
 
 import numpy as np
@@ -12,12 +13,17 @@ from magical.envs import EnvId
 from magical.envs.seeds import evaluation_seed
 from magical.envs.vector import MagicalVectorEnv
 from magical.errors import InvalidActionError, PolicyError
-from magical.evaluation.loading import PolicySource, load_policy
-from magical.evaluation.noise import reset_options
-from magical.evaluation.policy import Mask, Policy, action_spec_of, given_to, observation_for
-from magical.evaluation.protocol import ROLLOUTS, SEED, Evaluation, environments
-from magical.evaluation.scores import RolloutScore
-from magical.evaluation.seeds import RolloutRng
+from magical.evaluation.entry import RolloutScore
+from magical.evaluation.policy import (
+    NO_OBSERVATION,
+    Mask,
+    Policy,
+    action_spec_of,
+    is_privileged,
+    load_policy,
+    observation_for,
+)
+from magical.evaluation.protocol import ROLLOUTS, SEED, Evaluation, environments, reset_options
 from magical.observe import Observation
 from magical.processes import checked_workers, map_in_processes
 from magical.tasks import Horizon, get_task, with_tasks
@@ -30,7 +36,7 @@ Progress = Callable[[int], None]  # called with the number of rollouts that have
 
 
 def evaluate(
-    policy: PolicySource,
+    policy: object,
     env_ids: Iterable[str] | None = None,
     *,
     rollouts: int = ROLLOUTS,
@@ -38,7 +44,6 @@ def evaluate(
     observation: Observation = None,
     horizon: Horizon = None,
     nudge: float = 0.0,
-    num_envs: int = NUM_ENVS,
     workers: int | None = None,
     progress: Progress | None = None,
 ) -> list[RolloutScore]:
@@ -52,13 +57,10 @@ def evaluate(
         rollouts: the number of rollouts in each environment.
         seed: which set of fixed seeds; results are reported for 0.
         observation: by default the policy's own, or `LoRes4E`; states for a privileged policy.
-        horizon: control steps; `"published"` for those of the published tables, which must differ
-            from the appendix's for at least one of the tasks.
-        nudge: the largest shift of initial poses, in units and radians, sampled from each rollout's
-            seed; 1e-9 averages over what rounding decides on Demo (docs/determinism.md).
-        num_envs: the most environments to step together (at least one for each environment id).
+        horizon: control steps, or "published"; by default the appendix's. See `Evaluation`.
+        nudge: evaluation noise in units and radians. See `Evaluation`.
         workers: threads that step the environments, or for a policy with `in_processes` processes
-            that run the policy too; by default one for each core.
+            that run the policy too; by default a thread for each core, or one process.
         progress: called with the number of rollouts that have just ended.
 
     Returns:
@@ -78,52 +80,26 @@ def evaluate(
         horizon=horizon,
         nudge=nudge,
     )
-    return roll_out(loaded, evaluation, num_envs=num_envs, workers=workers, progress=progress)
+    return roll_out(loaded, evaluation, workers=workers, progress=progress)
 
 
 def roll_out(
     policy: Policy,
     evaluation: Evaluation,
     *,
-    num_envs: int = NUM_ENVS,
     workers: int | None = None,
     progress: Progress | None = None,
 ) -> list[RolloutScore]:
     """Like `evaluate`, for an `Evaluation`; raises what `evaluate` does during rollouts."""
-    run = _in_processes if getattr(policy, "in_processes", False) else _in_this_process
-    return _collect(run(policy, evaluation, num_envs, workers), evaluation, progress)
-
-
-def evaluate_round(
-    policy: Policy, evaluation: Evaluation, number: int, workers: int | None = None
-) -> list[RolloutScore]:
-    """Repeat one round of an evaluation: all rollouts that were run together with a given one.
-
-    The last bit of a network's arithmetic may depend on the batch size, which can change a sampled
-    action. A round is batched as `evaluate` does it by default, so on the same machine its scores
-    are the same.
-
-    Args:
-        policy: see `Policy`.
-        evaluation: restricted to one task, with all of its environments in the original order.
-        number: the number of the given rollout.
-        workers: processes.
-    """
+    batches = _batches(policy, evaluation)
+    parts: Iterable[list[RolloutScore]]
     if getattr(policy, "in_processes", False):
-        first = number - number % SHARE
-        numbers = range(first, min(first + SHARE, evaluation.rollouts))
-        shares = ((env_id, numbers) for env_id in evaluation.env_ids)
-        return [row for share in shares for row in _score_share(policy, evaluation, share)]
-    with _Rollouts(policy, evaluation, evaluation.env_ids, workers=workers) as batch:
-        first = number - number % batch.copies
-        numbers = range(first, min(first + batch.copies, evaluation.rollouts))
-        return [row for part in batch.run(numbers) for row in part]
-
-
-def _collect(
-    parts: Iterable[Sequence[RolloutScore]], evaluation: Evaluation, progress: Progress | None
-) -> list[RolloutScore]:
-    """All scores, by environment in the given order, then by rollout."""
+        count = min(1 if workers is None else checked_workers(workers), len(batches))
+        modules = modules_for(policy, list(evaluation.by_task)) if count > 1 else []
+        work = with_tasks(functools.partial(_score_batch, policy, evaluation), modules)
+        parts = map_in_processes(work, batches, count)
+    else:
+        parts = (part for each in batches for part in _rounds(policy, evaluation, each, workers))
     scores: dict[EnvId, list[RolloutScore]] = {env_id: [] for env_id in evaluation.env_ids}
     for part in parts:
         for score in part:
@@ -133,28 +109,19 @@ def _collect(
     return [score for rows in scores.values() for score in rows]
 
 
-def _in_this_process(
-    policy: Policy, evaluation: Evaluation, num_envs: int, workers: int | None
-) -> Iterator[list[RolloutScore]]:
-    """Run the policy here, on all environments of a task at once; workers step them."""
-    for group in evaluation.by_task.values():
-        with _Rollouts(policy, evaluation, group, num_envs, workers) as batch:
-            yield from batch.run(range(evaluation.rollouts))
+def evaluate_round(
+    policy: Policy, evaluation: Evaluation, number: int, workers: int | None = None
+) -> list[RolloutScore]:
+    """Repeat one round of an evaluation: all rollouts that were run together with number `number`.
 
-
-def _in_processes(
-    policy: Policy, evaluation: Evaluation, num_envs: int, workers: int | None
-) -> Iterator[list[RolloutScore]]:
-    """Run copies of the policy in several processes, each on a share of the rollouts."""
-    shares = [
-        (env_id, range(first, min(first + SHARE, evaluation.rollouts)))
-        for env_id in evaluation.env_ids
-        for first in range(0, evaluation.rollouts, SHARE)
-    ]
-    count = min(1 if workers is None else checked_workers(workers), len(shares))
-    modules = modules_for(policy, list(evaluation.by_task)) if count > 1 else []
-    score = with_tasks(partial(_score_share, policy, evaluation), modules)
-    yield from map_in_processes(score, shares, count)
+    The last bit of a network's arithmetic may depend on the batch size, which can change a sampled
+    action. A round is batched as `evaluate` does it, so on the same machine its scores are the
+    same. `evaluation` is restricted to one task, with all of its environments in the original
+    order.
+    """
+    batches = [each for each in _batches(policy, evaluation) if number in each[1]]
+    rounds = (_rounds(policy, evaluation, each, workers, number) for each in batches)
+    return [row for parts in rounds for part in parts for row in part]
 
 
 def modules_for(policy: Policy | None, tasks: Sequence[str]) -> list[str]:
@@ -163,43 +130,57 @@ def modules_for(policy: Policy | None, tasks: Sequence[str]) -> list[str]:
     return [*defining_modules(list(map(get_task, tasks))), *(needed(tasks) if needed else [])]
 
 
-def _score_share(
-    policy: Policy, evaluation: Evaluation, share: tuple[EnvId, range]
-) -> list[RolloutScore]:
-    env_id, numbers = share
-    part = replace(evaluation, rollouts=len(numbers))
-    with _Rollouts(policy, part, [env_id], workers=0) as batch:
-        return [score for rows in batch.run(numbers) for score in rows]
+Batch = tuple[Sequence[EnvId], range]  # environments of one task, and numbers of their rollouts
 
 
-class RepeatedEvaluation:
-    """An evaluation that is repeated, as during training: its environments are kept alive.
+def _batches(policy: Policy, evaluation: Evaluation) -> list[Batch]:
+    """What is computed at a time: a task, or by a process a share of one environment's rollouts."""
+    numbers = range(evaluation.rollouts)
+    if not getattr(policy, "in_processes", False):
+        return [(env_ids, numbers) for env_ids in evaluation.by_task.values()]
+    shares = [numbers[first : first + SHARE] for first in numbers[::SHARE]]
+    return [([env_id], share) for env_id in evaluation.env_ids for share in shares]
 
-    Args:
-        policy: see `Policy`; not one with `in_processes`.
-        evaluation: how it is evaluated.
-        workers: threads.
+
+def _score_batch(policy: Policy, evaluation: Evaluation, batch: Batch) -> list[RolloutScore]:
+    return [row for part in _rounds(policy, evaluation, batch, workers=0) for row in part]
+
+
+def _rounds(
+    policy: Policy,
+    evaluation: Evaluation,
+    batch: Batch,
+    workers: int | None,
+    only: int | None = None,
+) -> Iterator[list[RolloutScore]]:
+    """The scores of a batch, round by round.
+
+    In a round, several copies of each environment run in lockstep: episodes end at the horizon and
+    never before, so all begin and end together. If the last round has fewer rollouts than copies,
+    the remaining copies are inactive. With `only`, it is the round of this rollout alone.
     """
-
-    def __init__(self, policy: Policy, evaluation: Evaluation, workers: int | None = None) -> None:
-        groups = evaluation.by_task.values()
-        self._evaluation = evaluation
-        with ExitStack() as stack:
-            self._batches = [
-                stack.enter_context(_Rollouts(policy, evaluation, group, workers=workers))
-                for group in groups
-            ]
-            self._stack = stack.pop_all()
-
-    def scores(self) -> list[RolloutScore]:
-        """The score of each rollout, as `evaluate` returns them."""
-        numbers = range(self._evaluation.rollouts)
-        parts = (part for batch in self._batches for part in batch.run(numbers))
-        return _collect(parts, self._evaluation, None)
-
-    def close(self) -> None:
-        """Close the environments."""
-        self._stack.close()
+    env_ids, numbers = batch
+    rounds = -(-len(numbers) // max(1, NUM_ENVS // len(env_ids)))
+    copies = -(-len(numbers) // rounds)  # of each environment
+    envs = MagicalVectorEnv(
+        [env_id for env_id in env_ids for _ in range(copies)],
+        workers=workers,
+        observation=observation_for(policy, evaluation.observation),
+        horizon=evaluation.horizon,  # observations are copies: the policy may change them
+        action_space=action_spec_of(policy).name,
+    )
+    with closing(envs):
+        for first in numbers[::copies]:
+            if only is not None and only not in range(first, first + copies):
+                continue
+            rollouts = np.tile(np.arange(first, first + copies), len(env_ids)).tolist()
+            active = np.array(rollouts) < numbers.stop
+            seeds = [evaluation_seed(number, evaluation.seed) for number in rollouts]
+            for _, infos in play(policy, envs, seeds, evaluation.nudge, active):
+                final = infos
+            scores, published = final["eval_score"].tolist(), final["published_code_score"].tolist()
+            rows = zip(envs.env_ids, rollouts, seeds, scores, published, strict=True)
+            yield [RolloutScore(*row) for row, runs in zip(rows, active, strict=True) if runs]
 
 
 def play(
@@ -218,10 +199,11 @@ def play(
     observations, infos = envs.reset(seed=list(seeds), options=options)
     policy.reset(np.ones(len(seeds), np.bool_))
     yield observations, infos
+    needs_none = getattr(policy, "observation", None) == NO_OBSERVATION
     ended = False
     while not ended:
-        given = given_to(policy, envs, observations)
-        actions = policy.act(given, envs.env_ids, rng)
+        shown = envs.states() if is_privileged(policy) else None if needs_none else observations
+        actions = policy.act(shown, envs.env_ids, rng)
         try:
             observations, _, _, truncated, infos = envs.step(actions, active)
         except InvalidActionError as error:
@@ -230,57 +212,45 @@ def play(
         yield observations, infos
 
 
-class _Rollouts:
-    """Environments of one task, each with several copies, whose episodes run in lockstep.
+def rollout_stream(env_id: str, seed: int) -> tuple[int, int]:
+    """The numbers that seed the random stream of a rollout that was reset with `seed`."""
+    return seed, zlib.crc32(env_id.encode())
 
-    Episodes end at the horizon and never before, so all begin and end together. If the last round
-    has fewer rollouts than copies, the remaining copies are inactive.
+
+class RolloutRng(np.random.Generator):
+    """The generator that policies get: each row of the batch has its own stream.
+
+    The methods of `ROW_METHODS` with `size=B` or `size=(B, ...)` and scalar parameters take row i
+    from rollout i's stream, so the numbers do not depend on which environments are stepped
+    together. Any other call samples from one common stream.
     """
 
-    def __init__(
-        self,
-        policy: Policy,
-        evaluation: Evaluation,
-        env_ids: Sequence[EnvId],
-        num_envs: int = NUM_ENVS,
-        workers: int | None = None,
-    ) -> None:
-        rounds = -(-evaluation.rollouts // max(1, num_envs // len(env_ids)))
-        self.copies = -(-evaluation.rollouts // rounds)  # of each environment
-        self.policy = policy
-        self.seed = evaluation.seed
-        self.nudge = evaluation.nudge
-        self.envs = MagicalVectorEnv(
-            [env_id for env_id in env_ids for _ in range(self.copies)],
-            workers=workers,
-            observation=observation_for(policy, evaluation.observation),
-            horizon=evaluation.horizon,  # observations are copies: the policy may change them
-            action_space=action_spec_of(policy).name,
-        )
+    def __init__(self, env_ids: Sequence[str], seeds: Sequence[int]) -> None:
+        streams = list(map(rollout_stream, env_ids, seeds))
+        super().__init__(np.random.PCG64([word for stream in streams for word in stream]))
+        self._rows = [np.random.Generator(np.random.PCG64(stream)) for stream in streams]
 
-    def __enter__(self) -> "_Rollouts":
-        return self
 
-    def __exit__(self, *error: object) -> None:
-        self.envs.close()
+def _by_rows(name: str) -> Callable[..., Any]:
+    sample = getattr(np.random.Generator, name)
+    signature = inspect.signature(sample)
 
-    def run(self, numbers: range) -> Iterator[list[RolloutScore]]:
-        """The scores of the rollouts with these numbers in every environment, round by round."""
-        for first in numbers[:: self.copies]:
-            each = np.arange(first, first + self.copies)
-            rollouts = np.tile(each, self.envs.num_envs // self.copies)
-            active = rollouts < numbers.stop
-            seeds = [evaluation_seed(number, self.seed) for number in rollouts.tolist()]
-            for _, infos in play(self.policy, self.envs, seeds, self.nudge, active):
-                final = infos
-            scores, published = final["eval_score"], final["published_code_score"]
-            yield [
-                RolloutScore(
-                    self.envs.env_ids[row],
-                    int(rollouts[row]),
-                    seeds[row],
-                    float(scores[row]),
-                    float(published[row]),
-                )
-                for row in np.flatnonzero(active).tolist()
-            ]
+    @functools.wraps(sample)
+    def sample_rows(self: RolloutRng, *args: Any, **kwargs: Any) -> Any:
+        given = signature.bind(self, *args, **kwargs).arguments
+        given.pop("self")
+        size = given.pop("size", None)
+        shape = size if isinstance(size, tuple) else (size,)
+        if shape[:1] != (len(self._rows),) or any(np.ndim(value) for value in given.values()):
+            return sample(self, *args, **kwargs)
+        return np.array([getattr(row, name)(size=shape[1:], **given) for row in self._rows])
+
+    return sample_rows
+
+
+ROW_METHODS = (
+    *("random", "uniform", "integers", "gumbel"),
+    *("normal", "standard_normal", "exponential", "standard_exponential"),
+)
+for _name in ROW_METHODS:
+    setattr(RolloutRng, _name, _by_rows(_name))

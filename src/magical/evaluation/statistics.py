@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from magical.envs import EnvId, parse_env_id
-from magical.errors import UnknownNameError
-from magical.evaluation.scores import RolloutScore
+from magical.evaluation.entry import RolloutScore
 from magical.grouping import group_by
 from magical.tasks.axes import full_variant
 
@@ -56,69 +55,47 @@ class OverRollouts(Interval):
     __slots__ = ()
 
 
-def t_interval(
-    value: float, strata: Sequence[Floats], confidence: float, bounds: tuple[float, float]
-) -> Interval:
-    """Student's t interval, with Welch's degrees of freedom, of a sum from independent strata.
+def by_environment(
+    rollouts: Iterable[RolloutScore], rule: str = "score"
+) -> dict[EnvId, list[float]]:
+    """The scores of a run's rollouts by environment, by one of `RULES`."""
+    scores: dict[EnvId, list[float]] = {}
+    for env_id, rows in groupby(rollouts, attrgetter("env_id")):  # mostly in order: a few groups
+        scores.setdefault(env_id, []).extend(map(attrgetter(rule), rows))
+    return scores
 
-    `strata` are the contributions of each stratum's runs, (runs,), which sum to `value` or differ
-    from it by a constant; `bounds` are the smallest and the largest possible value. The ends are
-    NaN if a stratum has one run.
+
+def run_means(
+    runs: Sequence[Iterable[RolloutScore]], env_ids: Iterable[str], rule: str = "score"
+) -> Floats:
+    """Each run's mean score in each environment (runs, environments); NaN where it has none."""
+    scores = [by_environment(run, rule) for run in runs]
+    ids = [parse_env_id(env_id).without_preset for env_id in env_ids]
+    return np.array([[np.mean(run.get(i, np.nan)) for i in ids] for run in scores], np.float64)
+
+
+# Over the rollouts of one policy.
+
+
+def rollout_mean(scores: ArrayLike) -> Interval:
+    """The mean of one policy's rollouts (rollouts,) in one environment, with a Wilson interval.
+
+    For scores of 0 and 1 it is Wilson's interval (1927): all p with n (mean - p)^2 <= z^2 p (1 - p)
+    for n rollouts. In general n is the effective number of zeros and ones whose mean has the same
+    variance, as in surveys (Korn and Graubard, 1998): rollouts x p (1 - p) / variance, or the
+    number of rollouts if all scores are equal.
     """
-    check_confidence(confidence)
-    degrees = [len(stratum) - 1.0 for stratum in strata]
-    if not all(degrees):
-        return Interval(value, math.nan, math.nan)
-    variances = [len(stratum) * stratum.var(ddof=1) for stratum in strata]
-    return welch_interval(value, variances, degrees, confidence, bounds)
-
-
-def welch_interval(
-    value: float,
-    variances: ArrayLike,
-    degrees: ArrayLike,
-    confidence: float,
-    bounds: tuple[float, float],
-) -> Interval:
-    """As `t_interval`, from the variances of independent parts and their degrees of freedom."""
-    from scipy.special import stdtrit  # slow to import
-
-    check_confidence(confidence)
-    parts = np.asarray(variances, np.float64)
-    total = float(parts.sum())
-    welch = total**2 / (parts**2 / np.asarray(degrees)).sum() if total > 0.0 else 1.0
-    half = float(stdtrit(welch, (1.0 + confidence) / 2.0)) * math.sqrt(total)
-    return Interval(value, max(value - half, bounds[0]), min(value + half, bounds[1]))
-
-
-def wilson_interval(value: float, count: float, confidence: float = CONFIDENCE) -> Interval:
-    """Wilson's score interval: all p with count (value - p)^2 <= z^2 p (1 - p).
-
-    `value` is the mean of `count` independent zeros and ones; `count` may be an effective number.
-    """
-    check_confidence(confidence)
-    ratio = NormalDist().inv_cdf((1.0 + confidence) / 2.0) ** 2 / count
+    rollouts = np.asarray(scores, np.float64)
+    if rollouts.ndim != 1 or not rollouts.size:
+        raise ValueError(f"scores: expected shape (rollouts,), found {rollouts.shape}")
+    value, variance = float(rollouts.mean()), float(rollouts.var())
+    worth = value * (1.0 - value) / variance if variance > TINY else 1.0
+    ratio = NormalDist().inv_cdf((1.0 + CONFIDENCE) / 2.0) ** 2 / (len(rollouts) * worth)
     centre = value + ratio / 2.0
     root = math.sqrt(max(centre**2 - (1.0 + ratio) * value**2, 0.0))
     low, high = (centre - root) / (1.0 + ratio), (centre + root) / (1.0 + ratio)
     # The value is always inside; rounding must not put it outside.
     return Interval(value, max(min(low, value), 0.0), min(max(high, value), 1.0))
-
-
-def rollout_mean(scores: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
-    """The mean of one policy's rollouts (rollouts,) in one environment, with a Wilson interval.
-
-    For scores of 0 and 1 it is Wilson's interval (1927); in general for the effective number of
-    zeros and ones whose mean has the same variance, as in surveys (Korn and Graubard, 1998):
-    rollouts x p (1 - p) / variance, or the number of rollouts if all scores are equal.
-    """
-    rollouts = np.asarray(scores, np.float64)
-    if rollouts.ndim != 1 or not rollouts.size:
-        raise ValueError(f"scores: expected shape (rollouts,), found {rollouts.shape}")
-    check_range(rollouts)
-    value, variance = float(rollouts.mean()), float(rollouts.var())
-    worth = value * (1.0 - value) / variance if variance > TINY else 1.0
-    return wilson_interval(value, len(rollouts) * worth, confidence)
 
 
 def weighted_sum(intervals: Sequence[Interval], weights: ArrayLike) -> Interval:
@@ -136,42 +113,6 @@ def weighted_sum(intervals: Sequence[Interval], weights: ArrayLike) -> Interval:
     return Interval(value, value - math.hypot(*below), value + math.hypot(*above))
 
 
-def check_confidence(confidence: float) -> None:
-    """Raise `ValueError` if a confidence is not between 0 and 1."""
-    if not 0.0 < confidence < 1.0:
-        raise ValueError(f"confidence: expected more than 0 and less than 1, found {confidence:g}")
-
-
-def check_range(scores: Floats) -> None:
-    """Raise `ValueError` if scores are outside [0, 1]; NaN is allowed."""
-    if (outside := scores[(scores < 0.0) | (scores > 1.0)]).size:
-        raise ValueError(f"scores: expected values from 0 to 1, found {outside[0]:g}")
-
-
-def by_environment(
-    rollouts: Iterable[RolloutScore], rule: str = "score"
-) -> dict[EnvId, list[float]]:
-    """The scores of a run's rollouts by environment, by one of `RULES`."""
-    if rule not in RULES:
-        raise UnknownNameError(f"rule {rule!r} is unknown; expected one of: {', '.join(RULES)}")
-    scores: dict[EnvId, list[float]] = {}
-    value = attrgetter(rule)
-    for env_id, rows in groupby(rollouts, attrgetter("env_id")):  # mostly in order: a few groups
-        scores.setdefault(env_id, []).extend(map(value, rows))
-    return scores
-
-
-def run_means(
-    runs: Sequence[Iterable[RolloutScore]], env_ids: Iterable[str], rule: str = "score"
-) -> Floats:
-    """Each run's mean score in each environment (runs, environments); NaN where it has none."""
-    scores = [by_environment(run, rule) for run in runs]
-    ids = [parse_env_id(env_id).without_preset for env_id in env_ids]
-    return np.array(
-        [[np.mean(run[i]) if i in run else np.nan for i in ids] for run in scores], np.float64
-    )
-
-
 def over_rollouts(
     runs: Sequence[Iterable[RolloutScore]],
     env_ids: Sequence[EnvId],
@@ -181,17 +122,19 @@ def over_rollouts(
     """The weighted sum of the environments' means, with an interval over the runs' rollouts.
 
     It is for methods with few runs, or whose runs do not differ. `weights` (environments,) are for
-    instance 1 / number of environments, or `gap_weights`.
+    instance 1 / number of environments, or `gap_weights`. Every environment needs rollouts.
     """
     scores = [by_environment(run, rule) for run in runs]
-    cells, factors = [], []
+    cells: list[Interval] = []
+    factors: list[float] = []
     for env_id, weight in zip(env_ids, np.asarray(weights), strict=True):
         rollouts = [run[env_id] for run in scores if env_id in run]
-        if not rollouts:
-            raise ValueError(f"runs: expected rollouts in {env_id}, found none")
-        cells += [rollout_mean(column) for column in rollouts]
+        cells += map(rollout_mean, rollouts)
         factors += [weight / len(rollouts)] * len(rollouts)
     return OverRollouts(*weighted_sum(cells, factors))
+
+
+# Over runs.
 
 
 def over_runs(scores: ArrayLike) -> Spread:
@@ -210,37 +153,35 @@ def mean(scores: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
     The bounds are NaN if a stratum has one run, or if the runs do not differ. Raises `ValueError`
     for another shape, a row or a column without scores, or scores outside [0, 1].
     """
-    table = _table(scores)
-    return _weighted_means(table, np.full(table.shape[1], 1 / table.shape[1]), confidence)
+    return contrast([scores], [1.0], confidence)
 
 
-def interquartile_mean(scores: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
-    """The mean of the middle half of all scores, runs and environments pooled (rliable's IQM).
+def difference(first: ArrayLike, second: ArrayLike) -> Interval:
+    """The mean of `first` minus that of `second`, with Welch's t interval over runs.
 
-    A quarter of the scores, rounded down, is left out at each end. The t interval over runs is
-    that of Tukey and McLaughlin (1963): a run's contribution is the sum of its winsorised scores.
-    In one environment, where each score is a run's, its degrees of freedom are those of the scores
-    that are left.
+    Both have shape (runs, environments) and the same columns; their runs are independent.
     """
-    table = _table(scores)
-    pooled = np.sort(table[~np.isnan(table)])
-    cut = len(pooled) // 4
-    middle = pooled[cut : len(pooled) - cut]
-    winsorised = np.clip(table, middle[0], middle[-1])
-    value, contributions = float(middle.mean()), np.nansum(winsorised, axis=1) / len(middle)
-    if table.shape[1] > 1 or len(table) == 1:
-        strata = _by_stratum(table, contributions)
-        return _with_width(t_interval(value, strata, confidence, (0.0, 1.0)))
-    variance = len(table) * contributions.var(ddof=1)
-    found = welch_interval(value, [variance], len(middle) - 1.0, confidence, (0.0, 1.0))
-    return _with_width(found)
+    return contrast([first, second], (1.0, -1.0))
+
+
+def contrast(
+    tables: Sequence[ArrayLike], weights: Sequence[float], confidence: float = CONFIDENCE
+) -> Interval:
+    """The weighted sum of several methods' means, with Welch's t interval over runs.
+
+    `tables` are the scores (runs, environments) of each method, with the same columns; their runs
+    are independent.
+    """
+    checked = list(map(_table, tables))
+    columns = [table.shape[1] for table in checked]
+    if len(set(columns)) > 1:
+        raise ValueError(f"expected scores in the same environments, found {columns} columns")
+    each = [np.full(columns[0], weight / columns[0]) for weight in weights]
+    return _weighted_means(list(zip(checked, each, strict=True)), confidence)
 
 
 def generalisation_gap(
-    scores: ArrayLike,
-    env_ids: Sequence[str],
-    variant: str = "TestAll",
-    confidence: float = CONFIDENCE,
+    scores: ArrayLike, env_ids: Sequence[str], variant: str = "TestAll"
 ) -> Interval:
     """Demo's mean score minus that of a test variant for each task, averaged over tasks.
 
@@ -248,14 +189,9 @@ def generalisation_gap(
     both.
     """
     table, weights = _table(scores), gap_weights(env_ids, variant)
-    if table.shape[1] != len(weights):
-        raise ValueError(
-            "scores: expected a column for each environment, found "
-            f"{table.shape[1]} columns and {len(weights)} environments"
-        )
     compared = table[:, weights != 0]
     evaluated = ~np.isnan(compared).all(axis=1)
-    return _weighted_means(compared[evaluated], weights[weights != 0], confidence)
+    return _weighted_means([(compared[evaluated], weights[weights != 0])], CONFIDENCE)
 
 
 def gap_weights(env_ids: Sequence[str], variant: str = "TestAll") -> Floats:
@@ -276,34 +212,61 @@ def gap_weights(env_ids: Sequence[str], variant: str = "TestAll") -> Floats:
     return np.array(weights) / len(tasks)
 
 
-def difference(first: ArrayLike, second: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
-    """The mean of `first` minus that of `second`, with Welch's t interval over runs.
+def interquartile_mean(scores: ArrayLike) -> Interval:
+    """The mean of the middle half of all scores, runs and environments pooled (rliable's IQM).
 
-    Both have shape (runs, environments) and the same columns; their runs are independent.
+    A quarter of the scores, rounded down, is left out at each end. The t interval over runs is
+    that of Tukey and McLaughlin (1963): a run's contribution is the sum of its winsorised scores.
+    In one environment, where each score is a run's, its degrees of freedom are those of the scores
+    that are left.
     """
-    return contrast([first, second], (1.0, -1.0), confidence)
+    table = _table(scores)
+    pooled = np.sort(table[~np.isnan(table)])
+    cut = len(pooled) // 4
+    middle = pooled[cut : len(pooled) - cut]
+    winsorised = np.clip(table, middle[0], middle[-1])
+    value, contributions = float(middle.mean()), np.nansum(winsorised, axis=1) / len(middle)
+    if table.shape[1] > 1 or len(table) == 1:
+        found = t_interval(value, _by_stratum(table, contributions), CONFIDENCE, (0.0, 1.0))
+    else:
+        variance = len(table) * contributions.var(ddof=1)
+        found = welch_interval(value, [variance], len(middle) - 1.0, CONFIDENCE, (0.0, 1.0))
+    return _with_width(found)
 
 
-def contrast(
-    tables: Sequence[ArrayLike], weights: Sequence[float], confidence: float = CONFIDENCE
+def t_interval(
+    value: float, strata: Sequence[Floats], confidence: float, bounds: tuple[float, float]
 ) -> Interval:
-    """The weighted sum of several methods' means, with Welch's t interval over runs.
+    """Student's t interval, with Welch's degrees of freedom, of a sum from independent strata.
 
-    `tables` are the scores (runs, environments) of each method, with the same columns; their runs
-    are independent.
+    `strata` are the contributions of each stratum's runs, (runs,), which sum to `value` or differ
+    from it by a constant; `bounds` are the smallest and the largest possible value. The ends are
+    NaN if a stratum has one run.
     """
-    checked = list(map(_table, tables))
-    columns = [table.shape[1] for table in checked]
-    if len(set(columns)) > 1:
-        raise ValueError(f"expected scores in the same environments, found {columns} columns")
-    strata: list[Floats] = []
-    for table, weight in zip(checked, weights, strict=True):
-        strata += _by_stratum(
-            table, _contributions(table, np.full(columns[0], weight / columns[0]))
-        )
-    value = float(sum(stratum.sum() for stratum in strata))
-    bounds = sum(w for w in weights if w < 0), sum(w for w in weights if w > 0)
-    return _with_width(t_interval(value, strata, confidence, bounds))
+    degrees = [len(stratum) - 1.0 for stratum in strata]
+    if not all(degrees):
+        return Interval(value, math.nan, math.nan)
+    variances = [len(stratum) * stratum.var(ddof=1) for stratum in strata]
+    return welch_interval(value, variances, degrees, confidence, bounds)
+
+
+def welch_interval(
+    value: float,
+    variances: ArrayLike,
+    degrees: ArrayLike,
+    confidence: float,
+    bounds: tuple[float, float],
+) -> Interval:
+    """As `t_interval`, from the variances of independent parts and their degrees of freedom."""
+    from scipy.special import stdtrit  # slow to import
+
+    if not 0.0 < confidence < 1.0:
+        raise ValueError(f"confidence: expected more than 0 and less than 1, found {confidence:g}")
+    parts = np.asarray(variances, np.float64)
+    total = float(parts.sum())
+    welch = total**2 / (parts**2 / np.asarray(degrees)).sum() if total > 0.0 else 1.0
+    half = float(stdtrit(welch, (1.0 + confidence) / 2.0)) * math.sqrt(total)
+    return Interval(value, max(value - half, bounds[0]), min(value + half, bounds[1]))
 
 
 def _table(scores: ArrayLike) -> Floats:
@@ -316,28 +279,31 @@ def _table(scores: ArrayLike) -> Floats:
     missing = np.isnan(table)
     if missing.all(axis=0).any() or missing.all(axis=1).any():
         raise ValueError("scores: expected a score in each row and each column, found only NaN")
-    check_range(table)
+    if (outside := table[(table < 0.0) | (table > 1.0)]).size:
+        raise ValueError(f"scores: expected values from 0 to 1, found {outside[0]:g}")
     return table
 
 
-def _weighted_means(table: Floats, weights: Floats, confidence: float) -> Interval:
-    """The weighted sum of the environments' means over runs."""
-    contributions = _contributions(table, weights)
-    bounds = float(weights[weights < 0].sum()), float(weights[weights > 0].sum())
-    strata = _by_stratum(table, contributions)
-    return _with_width(t_interval(float(contributions.sum()), strata, confidence, bounds))
+def _weighted_means(parts: Sequence[tuple[Floats, Floats]], confidence: float) -> Interval:
+    """The sum of environments' means over runs, from independent tables with their weights.
+
+    Of each table (runs, environments), weights (environments,).
+    """
+    value, strata = 0.0, list[Floats]()
+    for table, weights in parts:
+        runs = (~np.isnan(table)).sum(axis=0)  # (environments,)
+        contributions = np.nansum(table * (weights / runs), axis=1)  # (runs,)
+        value += float(contributions.sum())
+        strata += _by_stratum(table, contributions)
+    factors = np.concatenate([weights for _, weights in parts])
+    bounds = float(factors[factors < 0].sum()), float(factors[factors > 0].sum())
+    return _with_width(t_interval(value, strata, confidence, bounds))
 
 
 def _with_width(interval: Interval) -> Interval:
     """The interval; without bounds if it has no width, since equal runs do not show a spread."""
     has_width = interval.high - interval.low > ROUNDING
     return interval if has_width else Interval(interval.value, np.nan, np.nan)
-
-
-def _contributions(table: Floats, weights: Floats) -> Floats:
-    """What each run adds to the weighted sum of the environments' means; (runs,)."""
-    runs = (~np.isnan(table)).sum(axis=0)  # (environments,)
-    return np.asarray(np.nansum(table * (weights / runs), axis=1))
 
 
 def _by_stratum(table: Floats, contributions: Floats) -> list[Floats]:

@@ -5,6 +5,7 @@ scenes, does again what it did before.
 """
 
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,10 +13,9 @@ from numpy.typing import NDArray
 
 from magical.envs import EnvId
 from magical.errors import PolicyError, ScoresError
-from magical.evaluation.entry import Entry, Record
+from magical.evaluation.entry import Entry, Record, RolloutScore
 from magical.evaluation.policy import NO_OBSERVATION, Policy, observed
 from magical.evaluation.rollouts import evaluate_round
-from magical.evaluation.scores import RolloutScore
 from magical.evaluation.statistics import CONFIDENCE, Interval, t_interval
 from magical.grouping import group_by
 
@@ -34,18 +34,18 @@ class Verification:
     recorded: Sequence[RolloutScore]
     again: Sequence[RolloutScore]  # of the same rollouts, in the same order
     exact: bool  # whether all must be equal
-    total: int = 0  # rollouts in the entry; 0 if all were run again
+    total: int  # rollouts in the entry
 
     @property
     def share(self) -> float:
         """The share of rollouts run again: the probability of finding one altered score."""
-        return len(self.recorded) / self.total if self.total else 1.0
+        return len(self.recorded) / self.total
 
     @property
     def changes(self) -> NDArray[np.float64]:
         """The new scores minus the recorded ones, (rollouts, 2): by each scoring rule."""
-        now = np.array([row[3:] for row in self.again])
-        changes: NDArray[np.float64] = now - np.array([row[3:] for row in self.recorded])
+        now, then = (np.array([row[3:] for row in rows]) for rows in (self.again, self.recorded))
+        changes: NDArray[np.float64] = now - then
         return changes
 
     @property
@@ -101,38 +101,40 @@ def verify(
     """Run a sample of an entry's rollouts again, after checking both scores of all of them.
 
     Of each task so many rounds (`evaluate_round`) are run again, chosen by `rng`; `elsewhere` says
-    whether the entry was made elsewhere (`is_elsewhere`).
+    whether the entry was made elsewhere (`is_elsewhere`). A network uses as many CPU threads as the
+    entry records, since another number may change the last bit of its arithmetic.
 
     Raises:
         PolicyError: the policy is not shown what the entry says.
         ScoresError: the two scores of a rollout differ on a task whose rules are the same.
     """
-    for env_id, rollout, _, score, published in entry.scores:
-        if env_id.task_spec.published_score_fn is None and score != published:
+    for env_id, rollout, _, *both in entry.scores:
+        if env_id.task_spec.published_score_fn is None and both[0] != both[1]:
             raise ScoresError(
                 f"{env_id}, rollout {rollout}: expected equal scores by both rules, which are the "
-                f"same on this task, found {score} and {published}"
+                f"same on this task, found {both}"
             )
     evaluation = entry.evaluation(policy)
-    shown, privileged = observed(policy, evaluation.observation, evaluation.env_ids[0].task_spec)
-    now = f"{shown}, {'' if privileged else 'not '}privileged"
-    stated = (
-        f"{entry.observation or shown}, {'' if entry.evaluated.privileged else 'not '}privileged"
-    )
-    if now != stated and shown != NO_OBSERVATION:  # which needs no more than any other
+    now = observed(policy, evaluation.observation, evaluation.env_ids[0].task_spec)
+    stated = entry.observation or now[0], entry.evaluated.privileged
+    if now != stated and now[0] != NO_OBSERVATION:  # which needs no more than any other
+        shown = [f"{name}, {'' if state else 'not '}privileged" for name, state in (stated, now)]
         raise PolicyError(
-            f"expected a policy that is shown {stated}, as the entry says, found {now}"
+            f"expected a policy that is shown {shown[0]}, as the entry says, found {shown[1]}"
         )
     again: list[RolloutScore] = []
-    for env_ids in evaluation.by_task.values():
-        part = replace(evaluation, env_ids=tuple(env_ids))
-        left = set(range(evaluation.rollouts))
-        for _ in range(rounds):
-            if left:
-                number = int(rng.choice(sorted(left)))
-                scores = evaluate_round(policy, part, number, workers)
-                left -= {row.rollout for row in scores}
-                again += scores
+    threads, using = entry.record.threads, getattr(policy, "using_threads", None)
+    with using(threads) if using and threads else nullcontext():
+        for env_ids in evaluation.by_task.values():
+            part, left = (
+                replace(evaluation, env_ids=tuple(env_ids)),
+                set(range(evaluation.rollouts)),
+            )
+            for _ in range(rounds):
+                if left:
+                    scores = evaluate_round(policy, part, int(rng.choice(sorted(left))), workers)
+                    left -= {row.rollout for row in scores}
+                    again += scores
     known = {(row.env_id, row.rollout): row for row in entry.scores}
     recorded = [known[row.env_id, row.rollout] for row in again]
     exact = not elsewhere or getattr(policy, "exact", False)

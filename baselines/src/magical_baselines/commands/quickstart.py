@@ -76,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _report(args: argparse.Namespace, plan: "Plan") -> int:
-    from magical.evaluation.loading import policy_of
+    from magical.evaluation.entry import policy_of
     from magical.report.found import find_results
     from magical.report.page import plain_rows, write_page
     from magical.report.table import rows_of

@@ -15,8 +15,7 @@ from msgspec import Meta
 
 from magical.errors import MagicalError, PlanError
 from magical.evaluation import BUILT_IN
-from magical.evaluation.noise import MAX_NOISE
-from magical.evaluation.protocol import ROLLOUTS, Evaluation, environments
+from magical.evaluation.protocol import MAX_NOISE, ROLLOUTS, Evaluation, environments
 from magical.experts import get_planner
 from magical.files import read_toml
 from magical.messages import quoted
