@@ -86,7 +86,7 @@ class Row(NamedTuple):
     @property
     def num_runs(self) -> int:
         """The number of runs of each task: that of the task with the fewest."""
-        counts = Counter(task for run in self.runs for task in run.tasks)
+        counts = Counter(task for run in self.runs for task in run.entry.tasks)
         return min(counts[task] for task in published_tasks())
 
     @property
@@ -126,7 +126,7 @@ def result_rows(found: Found) -> list[Row]:
 
 def _rows(results: Sequence[Result]) -> Iterator[list[Row]]:
     """The rows of each board of all tasks."""
-    runs = [run for run in results if not set(published_tasks()).isdisjoint(run.tasks)]
+    runs = [run for run in results if not set(published_tasks()).isdisjoint(run.entry.tasks)]
     groups = group_by(runs, attrgetter("entry.method"))
     for board in make_boards(runs):
         if ALL_TASKS in board.name:

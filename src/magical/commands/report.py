@@ -52,8 +52,15 @@ def run(args: argparse.Namespace) -> int:
     from magical.evaluation.loading import policy_of
     from magical.extras import require
     from magical.report.found import find_results
-    from magical.report.page import FORMATS, all_tables, format_of, plain_rows, write_page
-    from magical.report.table import matching_methods, rows_of
+    from magical.report.table import (
+        all_tables,
+        format_of,
+        matching_methods,
+        plain_rows,
+        rows_of,
+        write_page,
+        write_tables,
+    )
 
     if args.format and not args.out:
         raise UsageError("--format needs --out FILE")
@@ -68,7 +75,7 @@ def run(args: argparse.Namespace) -> int:
     rows = rows_of(found.entries)
     published = tuple(matching_methods(found.entries) if args.published is None else args.published)
     for table in all_tables(rows, published):
-        print_table(table.header, table.rows)
+        print_table(table.header, table.texts)
         print(f"{table.note}\n")
     notes: Sequence[str] = ()
     if kind == "html":
@@ -81,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
             clips=args.clips or 0,
         )
     elif kind:
-        FORMATS[kind](found, published, args.out)
+        write_tables(kind, rows, published, args.out)
     if kind:
         log(f"wrote {args.out}")
     for note in notes:
