@@ -39,7 +39,6 @@ PAPER = {"BC (ST)": (DEMONSTRATIONS,), "GAIL (ST)": (DEMONSTRATIONS, INTERACTION
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """A Markdown table."""
     lines = [header, ["---"] * len(header), *rows]
     return "\n".join(f"| {' | '.join(map(str, line))} |" for line in lines)
 
@@ -69,18 +68,15 @@ class Row(NamedTuple):
 
     @property
     def method(self) -> str:
-        """Its name in entries."""
         return self.standing.method
 
     @property
     def name(self) -> str:
-        """Its name in the table."""
         marks = self.standing.statements.mark + self.mark
         return "scripted expert" if self.is_reference else self.method + marks
 
     @property
     def is_reference(self) -> bool:
-        """Whether it is not trained."""
         return self.standing.is_reference
 
     @property

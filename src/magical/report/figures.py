@@ -131,44 +131,39 @@ def curves_by_task(results: Sequence[Result]) -> tuple[dict[str, list[str]], dic
     determines its colour.
     """
     methods = list(dict.fromkeys(result.entry.method for result in results))
-    styles = {method: line_style(number) for number, method in enumerate(methods)}
-    curves: dict[str, list[tuple[str, Any]]] = {}  # by task: methods and metrics
+    metrics: dict[str, list[tuple[str, Any]]] = {}  # by task, of each run with its method
     damaged: dict[Path, str] = {}
     for folder, result in {result.run: result for result in results if result.run}.items():
         try:
             if rows := read_metrics(folder):
                 task = in_words(tuple(result.config.get("tasks") or result.entry.tasks))
-                curves.setdefault(task, []).append((result.entry.method, rows))
+                metrics.setdefault(task, []).append((result.entry.method, rows))
         except RunFolderError as error:
             damaged[folder] = str(error)
     figures: dict[str, list[str]] = {}
-    for number, (task, of_task) in enumerate(curves.items()):
+    for number, (task, runs) in enumerate(metrics.items()):
         for key in PANELS:
-            lines = [(method, each) for method, rows in of_task if (each := _points(rows, key))]
-            if lines:
-                svg_of = _panel(lines, key, styles, f"curve-{number}-{key}", task)
-                figures.setdefault(task, []).append(svg_of)
+            curves = [(methods.index(name), _points(rows, key)) for name, rows in runs]
+            if curves := [(index, points) for index, points in curves if points]:
+                lines = [(methods[index], line_style(index), points) for index, points in curves]
+                drawn = _panel(lines, key, f"curve-{number}-{key}", task)
+                figures.setdefault(task, []).append(drawn)
     return figures, damaged
 
 
 def _panel(
-    curves: Sequence[tuple[str, Any]],
-    key: str,
-    styles: Mapping[str, Mapping[str, Any]],
-    name: str,
-    task: str,
+    curves: Sequence[tuple[str, dict[str, Any], Any]], key: str, name: str, task: str
 ) -> str:
     """One quantity of all runs on a task as SVG, with a legend below."""
     with plotting():
-        shown = len({method for method, _ in curves})
+        shown = len({method for method, _, _ in curves})
         figure = new_figure(3.0 + 0.22 * -(-shown // 2), width=4.8)
         axes = figure.subplots()
         lines: dict[str, Any] = {}
-        for method, points in curves:
+        for method, style, points in curves:
             # matplotlib leaves out of legends the names that begin with an underscore.
             label = f"\u200b{method}" if method.startswith("_") else method
-            drawn = axes.plot(*_smooth(points), linewidth=1.3, alpha=0.85, **styles[method])
-            (lines[label],) = drawn
+            (lines[label],) = axes.plot(*_smooth(points), linewidth=1.3, alpha=0.85, **style)
         axes.set(title=key, xlabel="step")
         if key in ("accuracy", "score"):
             axes.set_ylim(-0.02, 1.02)

@@ -14,7 +14,7 @@ from magical.envs.action_spec import DISCRETE
 from magical.errors import MagicalError, RunFolderError, ScoresError
 from magical.evaluation import BUILT_IN, Entry, RolloutScore, policy_names, read_entry
 from magical.evaluation.entry import ENTRIES_FILE, ENTRY_FILE, SCORES_FILE, read_collection
-from magical.evaluation.protocol import ROLLOUTS, SEED, Evaluated
+from magical.evaluation.protocol import ROLLOUTS, SEED
 from magical.grouping import group_by
 from magical.runs import is_run, read_json
 from magical.runs.folder import CONFIG
@@ -88,7 +88,7 @@ def search_results(folders: Iterable[Path | str]) -> Found:
             if (place := Path(path)).resolve() not in known:
                 known.add(place.resolve())
                 found += _entries(place)
-        for place, entry in found or [(root, _read_entry(root))]:  # the error says what is expected
+        for place, entry in found or _entries(root, required=True):
             if place != root and not _is_planned(place, root, listed):
                 reason = "not a run of the current plan, but of an earlier one"
                 skipped.append(Skipped(place, reason))
@@ -99,23 +99,19 @@ def search_results(folders: Iterable[Path | str]) -> Found:
     return Found(results, skipped)
 
 
-def _entries(place: Path) -> Iterator[tuple[Path, Entry | Exception]]:
-    """Every entry in a folder, or why it cannot be read."""
+def _entries(place: Path, required: bool = False) -> Iterator[tuple[Path, Entry | Exception]]:
+    """Every entry in a folder, or why it cannot be read, or if `required` why there is none."""
     if (place / ENTRIES_FILE).exists():
         try:
             for name, entry in read_collection(place).items():
                 yield place / name, entry
         except ScoresError as error:
             yield place, error
-    if (place / SCORES_FILE).exists() or (place / ENTRY_FILE).exists():
-        yield place, _read_entry(place)
-
-
-def _read_entry(place: Path) -> Entry | Exception:
-    try:
-        return read_entry(place)
-    except (ScoresError, OSError) as error:
-        return error
+    if required or (place / SCORES_FILE).exists() or (place / ENTRY_FILE).exists():
+        try:
+            yield place, read_entry(place)
+        except (ScoresError, OSError) as error:
+            yield place, error
 
 
 def _run_of(place: Path, entry: Entry, root: Path) -> Path | None:
@@ -188,16 +184,15 @@ def by_row(items: Iterable[T], entry_of: Callable[[T], Entry]) -> dict[str, list
     those of the protocol. Evaluation noise is always named.
     """
 
-    def settings_of(pair: tuple[T, Evaluated]) -> tuple[tuple[str, Any], ...]:
-        return tuple((pair[1].settings | {"horizon": None}).items())
+    def settings_of(item: T) -> tuple[tuple[str, Any], ...]:
+        return tuple((entry_of(item).evaluated.settings | {"horizon": None}).items())
 
     rows: dict[str, list[T]] = {}
     for method, of_method in group_by(items, lambda item: entry_of(item).method).items():
-        found = [(item, entry_of(item).evaluated) for item in of_method]
         parts = [
-            (dict(settings) | {"horizon": horizon}, [item for item, _ in part])
-            for settings, alike in group_by(found, settings_of).items()
-            for horizon, part in _by_horizon(alike).items()
+            (dict(settings) | {"horizon": horizon}, part)
+            for settings, alike in group_by(of_method, settings_of).items()
+            for horizon, part in _by_horizon(alike, entry_of).items()
         ]
         for settings, part in parts:
             label = ", ".join([method, *_differences(settings, [other for other, _ in parts])])
@@ -207,21 +202,21 @@ def by_row(items: Iterable[T], entry_of: Callable[[T], Entry]) -> dict[str, list
     return rows
 
 
-def _by_horizon(found: Sequence[tuple[T, Evaluated]]) -> dict[str, Sequence[tuple[T, Evaluated]]]:
+def _by_horizon(items: Sequence[T], entry_of: Callable[[T], Entry]) -> dict[str, list[T]]:
     """Evaluations by the horizon in words, or all together if no task has several horizons."""
-    groups: dict[str, list[tuple[T, Evaluated]]] = {}
+    groups: dict[str, list[T]] = {}
     horizons: dict[str, set[int]] = {}  # by task
-    for item, how in found:
+    for item in items:
+        how = entry_of(item).evaluated
         steps = {task: get_task(task).resolve_horizon(how.horizon) for task in how.by_task}
         for task, number in steps.items():
             horizons.setdefault(task, set()).add(number)
         # The same words for the same numbers of control steps on the same tasks.
         words = str(*set(steps.values())) if len(set(steps.values())) == 1 else PUBLISHED
-        words = APPENDIX if how.horizon_name == APPENDIX else words
-        groups.setdefault(words, []).append((item, how))
+        groups.setdefault(APPENDIX if how.horizon_name == APPENDIX else words, []).append(item)
     if any(len(numbers) > 1 for numbers in horizons.values()):
-        return dict(groups)
-    return {" and ".join(name for name in groups if name != APPENDIX) or APPENDIX: found}
+        return groups
+    return {" and ".join(name for name in groups if name != APPENDIX) or APPENDIX: [*items]}
 
 
 def _differences(settings: Mapping[str, Any], others: Sequence[Mapping[str, Any]]) -> list[str]:

@@ -73,7 +73,14 @@ def check_entries(found: Found) -> tuple[list[Result], list[Rejected]]:
             reasons.append(f"observation {shown}, but its run was trained on {trained}")
         if reasons:
             rejected.append(Rejected(folder, method, reasons))
-        elif reason := _conflict(result, runs):
+        elif other := same_run(result, runs):
+            reason = (
+                f"the same run as {other.folder}, judging by its scores or its training_seed: each "
+                "run counts only once"
+            )
+            conflicts.append(Rejected(folder, method, [reason]))
+        # All accepted runs of a method agree, so the first one is enough.
+        elif runs and (reason := mismatch(result.entry, runs[0])):
             conflicts.append(Rejected(folder, method, [reason]))
         else:
             accepted.append(result)
@@ -120,17 +127,6 @@ def incompleteness(entry: Entry) -> Iterator[str]:
             f"made by version {entry.version or '(not stated)'} of this package, this is "
             f"{__version__}: scores may differ; evaluate again"
         )
-
-
-def _conflict(result: Result, accepted: Sequence[Result]) -> str:
-    """Why a result cannot be a run of its method, given those accepted before; empty if it can."""
-    if other := same_run(result, accepted):
-        return (
-            f"the same run as {other.folder}, judging by its scores or its training_seed: each run "
-            "counts only once"
-        )
-    # All accepted runs of a method agree, so the first one is enough.
-    return mismatch(result.entry, accepted[0]) if accepted else ""
 
 
 def mismatch(entry: Entry, other: Result) -> str:
@@ -221,20 +217,19 @@ def make_boards(results: Sequence[Result]) -> list[Board]:
         found = []
         for entries in methods:
             runs = [run for run in entries if not set(tasks).isdisjoint(run.tasks)]
-            if name != HELD_OUT_TASKS or _is_from(DEMOS, runs):
+            # The held-out board is of ten demonstrations of each task alone, as far as stated.
+            more = (
+                run.record.num_demos not in (DEMOS, None)
+                or run.record.pretrained_on
+                or EXTRA_DATA in _used(run)
+                for run in runs
+            )
+            if name != HELD_OUT_TASKS or not any(more):
                 found += _standing(runs, tasks)
         prior = [row for row in found if BENCHMARK_PRIOR in row.used]
         boards.append(Board(name, _ranked([row for row in found if row not in prior])))
         boards.append(Board(name + WITH_PRIOR, _ranked(prior)))
     return [board for board in boards if board.standings or board is boards[0]]
-
-
-def _is_from(num_demos: int, runs: Sequence[Entry]) -> bool:
-    """Whether runs learned from so many demonstrations of each task alone, as far as stated."""
-    records = [run.record for run in runs]
-    numbers = {record.num_demos for record in records}
-    more = any(r.pretrained_on or EXTRA_DATA in (r.learned_from or ()) for r in records)
-    return numbers <= {num_demos, None} and not more
 
 
 def _standing(entries: Sequence[Entry], tasks: Collection[str]) -> list[Standing]:

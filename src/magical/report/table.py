@@ -251,8 +251,7 @@ def task_table(name: str, rows: Rows, published: Sequence[str] = ()) -> Table:
         )
     shown = [row for row in shown if row[1]]
     every = [cell for _, cells, _ in shown for cell in cells.values()]
-    note = _rule_note(task, compared, on_task)
-    note += _left_out_note(task, sorted(other)) if methods and other else ""
+    note = _rule_note(task, compared, on_task, sorted(other) if methods else [])
     note += BESIDE if any(cell.difference for cell in every) else ""
     note += ONE_RUN if any(len(runs) == 1 for runs in on_task.values()) else ""
     note += MARKS if any(marked("", runs) for runs in on_task.values()) else ""
@@ -279,38 +278,34 @@ def _cell(runs: Sequence[Score], expected: int, difference: Interval | None) -> 
     return Cell(value, f"± {std:.2f}{listed}{few}", difference, are_apart=bool(listed))
 
 
-def _rule_note(task: Task, published: bool, rows: Mapping[str, Sequence[Entry]]) -> str:
-    """The scoring rule, and the rows whose horizon differs from the rule's."""
+def _rule_note(
+    task: Task, published: bool, rows: Mapping[str, Sequence[Entry]], left_out: Sequence[int]
+) -> str:
+    """The scoring rule, the rows with another horizon, and why published rows are left out.
+
+    `left_out` are the horizons that differ from that of the published rows.
+    """
     if published and not _rules_differ(task):
         return "On this task, the published code's rule and horizon are the same as the appendix's."
     if published:
-        horizon = f", whose horizon is {task.published_horizon} control steps"
-        return (
-            "All rows are scored by the published code's rule, as the published ones are"
-            f"{horizon * task.has_two_horizons}."
-        )
-    steps = {label: _horizon(task, runs[0]) for label, runs in rows.items()}
-    other = [f"{label} ({number})" for label, number in steps.items() if number != task.horizon]
-    if not other:
-        return "Scored by the appendix's rule."
-    return (
-        "Scored by the appendix's rule. Evaluated with another horizon than the appendix's "
-        f"{task.horizon} control steps: {'; '.join(other)}."
-    )
+        rule = "All rows are scored by the published code's rule, as the published ones are"
+        steps = f", whose horizon is {task.published_horizon} control steps"
+        return f"{rule}{steps * task.has_two_horizons}."
+    note = "Scored by the appendix's rule."
+    horizons = {label: _horizon(task, runs[0]) for label, runs in rows.items()}
+    if other := [f"{name} ({n})" for name, n in horizons.items() if n != task.horizon]:
+        note += " Evaluated with another horizon than the appendix's "
+        note += f"{task.horizon} control steps: {'; '.join(other)}."
+    if left_out:
+        theirs = task.resolve_horizon("published")
+        note += f" The published rows are left out: their horizon is {theirs} control steps, not "
+        asked = "published" if task.has_two_horizons else theirs
+        note += f"{' or '.join(map(str, left_out))}; evaluate with --horizon {asked} to compare."
+    return note
 
 
 def _rules_differ(task: Task) -> bool:
     return task.published_score_fn is not None or task.has_two_horizons
-
-
-def _left_out_note(task: Task, other: Sequence[int]) -> str:
-    """Why published rows are left out: the horizons that differ from theirs."""
-    steps = task.resolve_horizon("published")
-    asked = "published" if task.has_two_horizons else steps
-    return (
-        f" The published rows are left out: their horizon is {steps} control "
-        f"steps, not {' or '.join(map(str, other))}; evaluate with --horizon {asked} to compare."
-    )
 
 
 def _horizon(task: Task, run: Entry) -> int:
@@ -404,9 +399,7 @@ class Method:
 
     def mean(self) -> Interval:
         """The mean."""
-        return self._over_runs(statistics.mean(self.means)) or self._over_rollouts(
-            self.equal_weights
-        )
+        return self._interval(statistics.mean(self.means), self.equal_weights)
 
     def gap(self, variant: str = "TestAll") -> Interval | None:
         """The generalisation gap; `None` if no task has both Demo and the variant."""
@@ -415,12 +408,12 @@ class Method:
         except ValueError:
             return None
         found = statistics.generalisation_gap(self.means, self.env_ids, variant)
-        return self._over_runs(found) or self._over_rollouts(weights)
+        return self._interval(found, weights)
 
     def interquartile_mean(self) -> Interval:
         """The interquartile mean; without bounds where the interval would not be over runs."""
         found = statistics.interquartile_mean(self.means)
-        return self._over_runs(found) or Interval(found.value, np.nan, np.nan)
+        return found if self.fewest_runs >= FEWEST_RUNS else Interval(found.value, np.nan, np.nan)
 
     def difference(self, other: "Method") -> Interval:
         """This method's mean minus another's; over runs if both means are."""
@@ -434,11 +427,10 @@ class Method:
         """(environments,): those of the mean."""
         return np.full(len(self.env_ids), 1 / len(self.env_ids))
 
-    def _over_runs(self, found: Interval) -> Interval | None:
-        """An interval over runs; `None` for too few runs, or if it has no bounds."""
-        return found if self.fewest_runs >= FEWEST_RUNS and not math.isnan(found.low) else None
-
-    def _over_rollouts(self, weights: Floats) -> OverRollouts:
+    def _interval(self, over_runs: Interval, weights: Floats) -> Interval:
+        """The interval over runs, or over rollouts for too few runs, or if it has no bounds."""
+        if self.fewest_runs >= FEWEST_RUNS and not math.isnan(over_runs.low):
+            return over_runs
         return statistics.over_rollouts([run.scores for run in self.runs], self.env_ids, weights)
 
     def apart(self, weights: Floats | None = None) -> str:
