@@ -258,20 +258,6 @@ def test_methods_with_a_prior_made_for_the_benchmark_are_ranked_apart() -> None:
         assert apart == [("b", 1, "B"), ("a", 2, "B")]
 
 
-def test_demonstrations_and_test_evaluations_are_as_the_entries_say() -> None:
-    human = {**LEARNED, "demonstrations": "10 (human)"}
-    found = standings(
-        run("m", 1.0, 0.9, record={**human, "test_evaluations": 2}),
-        run("m", 1.0, 0.8, record={**human, "test_evaluations": 7}),
-        run("m", 1.0, 0.85, record={**LEARNED, "demonstrations": "25 (expert)"}),
-        run("n", 1.0, 0.7),
-        run("o", 1.0, 0.6, record={**LEARNED, "test_evaluations": 0}),
-    )
-    stated = [row.statements for row in found]
-    assert stated == [("10 (human); 25 (expert)", 7), ("", None), ("", 0)]
-    assert [each.mark for each in stated] == ["†", "", ""]
-
-
 @pytest.fixture
 def entries(write_entry: WriteEntry, tmp_path: Path) -> Path:
     pytest.importorskip("jinja2", reason="the report extra is not installed")

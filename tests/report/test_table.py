@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from magical.evaluation import Entry, published_score
-from magical.evaluation.statistics import OverRollouts, gap_weights, mean
+from magical.evaluation import Entry
+from magical.evaluation.statistics import OverRollouts, gap_weights
 from magical.report.table import (
     BESIDE,
     MARKS,
@@ -107,19 +107,6 @@ def test_few_runs_of_which_some_fail_are_listed() -> None:
         assert RUNS_APART not in others.note
 
 
-@pytest.mark.parametrize(("runs", "covered"), [(3, 48), (5, 67)])
-def test_how_often_an_interval_covers_the_mean_where_one_run_in_five_fails(
-    runs: int, covered: int
-) -> None:
-    share = 0.0
-    for failures in range(runs + 1):
-        found = mean([[0.0]] * failures + [[1.0]] * (runs - failures))
-        likelihood = math.comb(runs, failures) * 0.2**failures * 0.8 ** (runs - failures)
-        share += likelihood * (found.low <= 0.8 <= found.high)
-    assert round(100 * share) == covered
-    assert f"{covered}%" in RUNS_APART
-
-
 def test_methods_without_the_task_have_no_row_and_cells_without_scores_a_dash() -> None:
     entries = [entry("a", line=[1.0]), entry("b", dupe=[1.0])]
     assert rows_of(entries).tasks == ("MakeLine", "FindDupe")
@@ -183,15 +170,6 @@ def test_a_method_is_compared_with_the_published_one_of_its_name() -> None:
         assert {label: method for label, (method, _) in found.items()} == expected
 
 
-def test_differences_have_an_interval_over_runs_by_the_published_rule() -> None:
-    runs = rows_of([entry(BC, dupe=[score]) for score in (0.8, 0.9, 1.0)])
-    found = differences("FindDupe", runs, [BC])[BC][1]["Demo"]
-    published = published_score("FindDupe", BC, "Demo")
-    assert published is not None
-    assert found.value == pytest.approx(0.45 - published.mean)
-    assert found.low < found.value < found.high
-
-
 def test_runs_that_see_the_state_are_marked_and_not_compared_with_rows_of_pixels() -> None:
     run = make_entry("mine", {"FindDupe-Demo": [1.0]}, observation="state")
     table = task_table("FindDupe", [run, entry("other", dupe=[1.0])], [BC])
@@ -249,18 +227,6 @@ def test_several_runs_are_compared_over_runs_and_one_run_over_its_rollouts() -> 
     assert b.difference(a) == pytest.approx((0.1, 0.1 - half, 0.1 + half))
     below = math.hypot(c.mean().value - c.mean().low, a.mean().high - 0.4)
     assert c.difference(a).low == pytest.approx(0.1 - below)
-
-
-def test_runs_of_single_tasks_are_strata_and_those_of_several_tasks_are_not() -> None:
-    line = [entry("single", line=[score]) for score in (0.3, 0.4, 0.5)]
-    dupe = [entry("single", dupe=[score]) for score in (0.5, 0.6, 0.7)]
-    multi = [entry("multi", line=[s], dupe=[s + 0.2]) for s in (0.3, 0.4, 0.5)]
-    rows, _ = compared([*line, *dupe, *multi])
-    assert [row.unit for row in rows] == ["3 runs", "3 runs"]
-    half = T4 * math.sqrt(2 * 0.01 / 3) / 2
-    assert rows[0].mean() == pytest.approx((0.5, 0.5 - half, 0.5 + half))
-    half = T2 * 0.1 / math.sqrt(3)
-    assert rows[1].mean() == pytest.approx((0.5, 0.5 - half, 0.5 + half))
 
 
 @pytest.mark.parametrize(("runs", "unit"), [(2, "rollouts of 2 runs"), (3, "3 runs")])
