@@ -36,7 +36,7 @@ from studies.published_tables.rows import (
     published_row,
     reproduced_row,
 )
-from studies.published_tables.scale import pooled_std, published_contrast
+from studies.published_tables.scale import published_contrast
 from tests.report.conftest import WriteEntry
 
 CORNER = tuple(environments(["MoveToCorner"], ["Demo", "Jitter"]))
@@ -196,13 +196,6 @@ def test_counts_and_those_that_chance_gives() -> None:
         assert cell([0.0] * 3, 0.5, 0.1).chance(limit) == pytest.approx(share, abs=0.02)
 
 
-def test_the_pooled_standard_deviation_by_hand() -> None:
-    # Ours 0.2 and 0.4: squares 0.01 + 0.01. Published: 4 x 0.05^2 = 0.01. Over 2 + 5 - 2 = 5.
-    assert pooled_std([0.2, 0.4], Spread(0.9, 0.05)) == pytest.approx(math.sqrt(0.03 / 5))
-    assert pooled_std([0.3], Spread(0.9, 0.05)) == pytest.approx(0.05)
-    assert pooled_std([0.3, 0.3], Spread(0.9, 0.0)) == 0.005
-
-
 def test_published_contrasts_by_hand() -> None:
     # MoveToCorner: BC (ST) 0.98 and 0.86, no aug. 0.96 and 0.77; standard deviations 0.04 and 0.07,
     # 0.04 and 0.09, which add up within a method. Two parts with four degrees of freedom each.
@@ -244,9 +237,11 @@ def test_a_claim_by_hand() -> None:
     jitter, layout = find(CLAIMS[:1], rows, ("Jitter", "Layout"))
     assert jitter.ours == tests.ours
     assert (layout.tasks, layout.ours) == ((), None)
-    assert find(CLAIMS[:1], [replace(rows[0], means=rows[0].means[:1]), rows[1]])[0].verdict == (
-        "open: too few runs"
-    )
+    code = [row(f"{each.method}, {CODE}", *each.means.tolist()) for each in rows]
+    claim = Claim("", {each.method: sign for each, sign in zip(code, (1.0, -1.0), strict=True)})
+    assert find([claim], code)[0].same == demo.same  # the published settings, the published values
+    few = find(CLAIMS[:1], [replace(rows[0], means=rows[0].means[:1]), rows[1]])
+    assert few[0].verdict == "open: too few runs"
     not_run = find(CLAIMS, rows[:1])
     assert {(each.verdict, each.ours, each.same) for each in not_run} == {("not run", None, None)}
     assert all(each.published for each in not_run)
@@ -269,22 +264,9 @@ def test_three_methods_are_weighed() -> None:
     assert demo.verdict == "holds; published: open"
 
 
-def test_claims_of_methods_with_the_published_settings_have_the_published_values() -> None:
-    quick, code = (row(f"GAIL (ST){name}", [0.9, 0.8]) for name in ("", f", {CODE}"))
-    claims = [Claim("", {method: 1.0, "BC (ST)": -1.0}) for method in (quick.method, code.method)]
-    both = find(claims, [quick, code, row("BC (ST)", [0.5, 0.4])], [DEMO])
-    assert both[0].same is not None
-    assert (both[0].published, both[0].same) == (both[1].published, both[1].same)
-
-
 @pytest.mark.parametrize(
     ("low", "high", "text"),
-    [
-        (0.1, 0.2, "holds"),
-        (-0.1, 0.2, "open"),
-        (-0.2, -0.1, "the opposite holds"),
-        (0.0, 0.1, "open"),
-    ],
+    [(0.1, 0.2, "holds"), (0.0, 0.2, "open"), (-0.2, -0.1, "the opposite holds")],
 )
 def test_verdicts_of_claims(low: float, high: float, text: str) -> None:
     interval = Interval((low + high) / 2, low, high)

@@ -42,10 +42,6 @@ def score_by_another_rule(folder: Path) -> None:
     edit(SCORES, last, last.rpartition(",")[0] + ",0.125")(folder)
 
 
-def add_a_line(folder: Path) -> None:
-    (folder / SCORES).write_text((folder / SCORES).read_text() + "\n")
-
-
 def leave_the_folder(folder: Path) -> None:
     path = folder / entries.SUBMISSION
     submission = json.loads(path.read_text())
@@ -57,7 +53,7 @@ def leave_the_folder(folder: Path) -> None:
     ("change", "reason"),
     [
         (lambda folder: (folder / SCORES).unlink(), f"{SCORES}: expected a file, found none"),
-        (add_a_line, f"{SCORES}: expected the SHA-256 sum"),
+        (lambda folder: (folder / SCORES).write_text(""), f"{SCORES}: expected the SHA-256 sum"),
         (
             lambda folder: (folder / "weights.bin").write_bytes(b""),
             "weights.bin: expected in submission.json, or not at all",

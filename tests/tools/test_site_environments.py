@@ -7,7 +7,6 @@ from PIL import Image
 from magical.envs import EnvId
 from magical.envs.env import MagicalEnv
 from magical.experts import rollout
-from magical.scene import Block, Colour, Pose, Region, Scene, Shape
 from magical.tasks import CHANGES, TASKS, Axis, get_task
 from tools.site.environments import describe_changes, scoring_rule
 from tools.site.previews import SIZE, describe_scene, make_previews
@@ -40,8 +39,5 @@ def test_changes_are_the_variants_axes() -> None:
 
 
 def test_a_scene_in_words() -> None:
-    squares = [Block(Shape.SQUARE, Colour.RED, Pose(x, 0.0, 0.0)) for x in (-0.5, 0.5)]
-    star = Block(Shape.STAR, Colour.GREEN, Pose(0.0, 0.5, 0.0))
-    region = Region(Colour.BLUE, x=0.0, y=0.0, height=0.5, width=0.5)
-    scene = Scene(Pose(0.0, -0.5, 0.0), (squares[0], star, squares[1]), (region,))
-    assert describe_scene(scene) == "a robot, 1 blue goal region, 2 red squares, 1 green star"
+    words = "a robot, 2 green goal regions, 1 red goal region, 1 green pentagon, "
+    assert describe_scene(get_task("FixColour").demo) == words + "1 green square, 1 blue pentagon"

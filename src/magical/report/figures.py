@@ -176,7 +176,7 @@ def _panel(
 def _points(rows: Sequence[Mapping[str, Any]], key: str) -> list[tuple[float, float]]:
     """(step, value) where a quantity was measured."""
     pairs = [(row["step"], row[key]) for row in rows if isinstance(row.get(key), int | float)]
-    return [(step, value) for step, value in pairs if max(abs(step), abs(value)) < LARGEST]
+    return [(step, y) for step, y in pairs if abs(step) < LARGEST and abs(y) < LARGEST]
 
 
 def _smooth(points: Sequence[tuple[float, float]]) -> tuple[Floats, Floats]:

@@ -15,19 +15,8 @@ from magical.evaluation.protocol import NUDGE, ROLLOUTS, SEED
 from magical.evaluation.statistics import ROUNDING, Interval
 from magical.grouping import group_by
 from magical.observe import parse_spec
+from magical.report import table
 from magical.report.found import Found, Result, same_run, search_results
-from magical.report.table import (
-    Statements,
-    compared_methods,
-    gather_statements,
-    interval_text,
-    matching_methods,
-    render_template,
-    rows_of,
-    with_conditions,
-    write_page,
-    write_text,
-)
 from magical.runs.plan import file_name
 from magical.runs.sources import BENCHMARK_PRIOR, EXTRA_DATA, SOURCES, TRACKS, track_of
 from magical.tasks import TASKS, get_task, suites
@@ -164,7 +153,7 @@ class Standing:
     gap: Interval  # Demo's mean minus TestAll's
     runs_apart: str  # the runs' means on TestAll where a few of them differ much
     used: tuple[str, ...]  # sources of learning, and `STATE`
-    statements: Statements
+    statements: table.Statements
     runs: int  # the fewest on any of the board's tasks
     rank: int = 0  # by TestAll, 1 for the highest; the same for equal scores
     gap_rank: int = 0  # by the gap, 1 for the lowest
@@ -235,7 +224,7 @@ def make_boards(results: Sequence[Result]) -> list[Board]:
 def _standing(entries: Sequence[Entry], tasks: Collection[str]) -> list[Standing]:
     """A method's standing on these tasks, not ranked yet; empty if it lacks any of them."""
     runs = [replace(e, evaluated=replace(e.evaluated, nudge=0.0)) for e in entries]
-    methods = compared_methods(rows_of(runs))
+    methods = table.compared_methods(table.rows_of(runs))
     env_ids = [env_id for env_id in methods[0].env_ids if env_id.task in tasks] if methods else []
     if not env_ids or not {env_id.task for env_id in env_ids} >= set(tasks):
         return []
@@ -250,7 +239,7 @@ def _standing(entries: Sequence[Entry], tasks: Collection[str]) -> list[Standing
     return [
         Standing(
             method=runs[0].method,
-            label=with_conditions(runs[0].method, runs),
+            label=table.with_conditions(runs[0].method, runs),
             unit=method.unit,
             test_all=test_all.mean(),
             demo=demo.mean(),
@@ -258,7 +247,7 @@ def _standing(entries: Sequence[Entry], tasks: Collection[str]) -> list[Standing
             runs_apart=test_all.apart(),
             # The same in all runs.
             used=_used(runs[0]) + (STATE,) * runs[0].evaluated.privileged,
-            statements=gather_statements(runs),
+            statements=table.gather_statements(runs),
             runs=method.fewest_runs,
         )
     ]
@@ -310,14 +299,14 @@ class Leaderboard:
         groups = group_by(self.accepted, attrgetter("entry.method"))
         for number, (method, results) in enumerate(groups.items(), 1):
             pages[method] = f"{METHODS}/{number:03d}-{file_name(method)}.html"
-            published = matching_methods(result.entry for result in results)
-            write_page(site / pages[method], method, Found(results), published)
+            published = table.matching_methods(result.entry for result in results)
+            table.write_page(site / pages[method], method, Found(results), published)
         used = {name for board in self.boards for row in board.standings for name in row.used}
         filters = {**SOURCES, STATE: "the true state instead of an observation"}
-        html = render_template(
+        html = table.render_template(
             "leaderboard.html.j2",
             board=self,
-            interval_text=interval_text,
+            interval_text=table.interval_text,
             unranked=by_reasons(self.rejected),
             tracks={name: SOURCES[source] for name, source in TRACKS.items()},
             pages=pages,
@@ -326,7 +315,7 @@ class Leaderboard:
             nudge=f"{NUDGE:g}",
             version=__version__,
         )
-        write_text(index, html)
+        table.write_text(index, html)
 
 
 def make_leaderboard(folders: Iterable[Path | str], rerun: Iterable[str] = ()) -> Leaderboard:

@@ -200,70 +200,69 @@ class Table(NamedTuple):
 def score_tables(rows: Rows, published: Sequence[str] = ()) -> list[Table]:
     """The tables of every task: by the appendix's rule, and by the published one if comparable.
 
-    If the two rules and horizons are the same, one table shows both.
+    `published` are methods whose published rows are shown below. With them, all scores follow the
+    published code's rule, and only rows with its horizon are shown. If a method has no such row,
+    the published rows are left out, and the note says so. If the two rules and horizons are the
+    same, one table shows both.
     """
     tables = []
-    for name in rows.tasks:
-        beside, task = task_table(name, rows, published), get_task(name)
-        all_shown = all(is_comparable(task, run) for runs in rows.on(name).values() for run in runs)
-        if beside.published and (_rules_differ(task) or not all_shown):
-            tables.append(task_table(name, rows))
-        tables.append(beside)
+    for task in map(get_task, rows.tasks):
+        on_task = rows.on(task.name)  # all runs of a row have the same horizon
+        methods = published if task.name in paper.published_tasks() else ()
+        same = {label: runs for label, runs in on_task.items() if is_comparable(task, runs[0])}
+        names = {runs[0].method for runs in same.values()}
+        others = {_horizon(task, r[0]) for r in on_task.values() if r[0].method not in names}
+        beside = bool(methods) and not others
+        if not beside or _rules_differ(task) or len(same) < len(on_task):
+            note = _rule_note(task, on_task, sorted(others) if methods else ())
+            tables.append(_score_table(task, rows, on_task, note))
+        if beside:
+            tables.append(_score_table(task, rows, same, _published_note(task), methods))
     return tables
 
 
-def task_table(name: str, rows: Rows, published: Sequence[str] = ()) -> Table:
-    """A row for each method on a task, then the published rows of the named methods.
+def _score_table(
+    task: Task,
+    rows: Rows,
+    shown: Mapping[str, Sequence[Entry]],
+    note: str,
+    published: Sequence[str] = (),
+) -> Table:
+    """A row for each method on a task, then the published rows of the named methods."""
+    variants, rule = list(map(short_variant, task.variants)), PUBLISHED_RULE if published else RULE
+    changes = differences(task.name, rows, published)
+    lines: list[list[str | Cell]] = []
+    row_notes = []
 
-    With published rows, all scores follow the published code's rule, and only rows with the
-    published code's horizon are shown. If a method has no such row, the published rows are left
-    out, and the note says so.
-    """
-    task, on_task = get_task(name), rows.on(name)
-    methods = published if name in paper.published_tasks() else ()
-    first = [runs[0] for runs in on_task.values()]  # all runs of a row have the same horizon
-    comparable = {run.method for run in first if is_comparable(task, run)}
-    other = {_horizon(task, run) for run in first if run.method not in comparable}
-    compared = bool(methods) and not other
-    rule, variants = PUBLISHED_RULE if compared else RULE, list(map(short_variant, task.variants))
-    changes = differences(name, rows, methods) if compared else {}
-    shown: list[tuple[str, dict[str, Cell], str]] = []
-    for label, runs in on_task.items():
-        if compared and not is_comparable(task, runs[0]):
-            continue
+    def add(label: str, cells: Mapping[str, Cell], row_note: str) -> None:
+        if cells:
+            lines.append([label, *(cells.get(variant, ABSENT) for variant in variants)])
+            row_notes.append(row_note)
+
+    for label, runs in shown.items():
         several = f"mean ± std over {len(runs)} runs"
-        note = several if len(runs) > 1 else "mean, 95% interval over rollouts"
+        row_note = several if len(runs) > 1 else "mean, 95% interval over rollouts"
         method, change = changes.get(label, ("", {}))
         if change:
             exact = ", except on Demo, which is nudged" * any(run.evaluated.nudge for run in runs)
-            note = f"{note}; difference from {method}{exact}"
+            row_note += f"; difference from {method}{exact}"
         cells = {
             variant: _cell(scores, len(runs), change.get(variant))
             for variant in variants
-            if (scores := rows.scores.get((label, name, variant, rule)))
+            if (scores := rows.scores.get((label, task.name, variant, rule)))
         }
-        shown.append((marked(label, runs), cells, note))
-    for method in methods if compared else ():
-        found = {variant: paper.published_score(name, method, variant) for variant in variants}
+        add(marked(label, runs), cells, row_note)
+    for method in published:
+        found = {variant: paper.published_score(task.name, method, variant) for variant in variants}
         cells = {v: Cell(each.mean, f"± {each.std:.2f}") for v, each in found.items() if each}
-        shown.append(
-            (f"{method}, published", cells, f"mean ± std over {paper.PUBLISHED_RUNS} runs")
-        )
-    shown = [row for row in shown if row[1]]
-    every = [cell for _, cells, _ in shown for cell in cells.values()]
-    note = _rule_note(task, compared, on_task, sorted(other) if methods else [])
+        add(f"{method}, published", cells, f"mean ± std over {paper.PUBLISHED_RUNS} runs")
+    every = [cell for line in lines for cell in line if isinstance(cell, Cell)]
     note += BESIDE if any(cell.difference for cell in every) else ""
-    note += ONE_RUN if any(len(runs) == 1 for runs in on_task.values()) else ""
-    note += MARKS if any(marked("", runs) for runs in on_task.values()) else ""
+    note += ONE_RUN if any(len(runs) == 1 for runs in shown.values()) else ""
+    note += MARKS if any(marked("", runs) for runs in shown.values()) else ""
     note += RUNS_APART if any(cell.are_apart for cell in every) else ""
-    return Table(
-        name + ", beside the published scores" * compared,
-        [name, *variants],
-        [[label, *(cells.get(v, ABSENT) for v in variants)] for label, cells, _ in shown],
-        note,
-        [note for _, _, note in shown],
-        compared,
-    )
+    title = task.name + ", beside the published scores" * bool(published)
+    return Table(title, [task.name, *variants], lines, note, row_notes, bool(published))
 
 
 def _cell(runs: Sequence[Score], expected: int, difference: Interval | None) -> Cell:
@@ -278,19 +277,20 @@ def _cell(runs: Sequence[Score], expected: int, difference: Interval | None) -> 
     return Cell(value, f"± {std:.2f}{listed}{few}", difference, are_apart=bool(listed))
 
 
-def _rule_note(
-    task: Task, published: bool, rows: Mapping[str, Sequence[Entry]], left_out: Sequence[int]
-) -> str:
-    """The scoring rule, the rows with another horizon, and why published rows are left out.
+def _published_note(task: Task) -> str:
+    """The scoring rule beside published rows."""
+    if not _rules_differ(task):
+        return "On this task, the published code's rule and horizon are the same as the appendix's."
+    rule = "All rows are scored by the published code's rule, as the published ones are"
+    steps = f", whose horizon is {task.published_horizon} control steps"
+    return f"{rule}{steps * task.has_two_horizons}."
+
+
+def _rule_note(task: Task, rows: Mapping[str, Sequence[Entry]], left_out: Sequence[int]) -> str:
+    """The appendix's rule, rows with another horizon, and why published rows are left out.
 
     `left_out` are the horizons that differ from that of the published rows.
     """
-    if published and not _rules_differ(task):
-        return "On this task, the published code's rule and horizon are the same as the appendix's."
-    if published:
-        rule = "All rows are scored by the published code's rule, as the published ones are"
-        steps = f", whose horizon is {task.published_horizon} control steps"
-        return f"{rule}{steps * task.has_two_horizons}."
     note = "Scored by the appendix's rule."
     horizons = {label: _horizon(task, runs[0]) for label, runs in rows.items()}
     if other := [f"{name} ({n})" for name, n in horizons.items() if n != task.horizon]:
