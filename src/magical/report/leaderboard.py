@@ -207,18 +207,18 @@ def make_boards(results: Sequence[Result]) -> list[Board]:
         for entries in methods:
             runs = [run for run in entries if not set(tasks).isdisjoint(run.tasks)]
             # The held-out board is of ten demonstrations of each task alone, as far as stated.
-            more = (
-                run.record.num_demos not in (DEMOS, None)
-                or run.record.pretrained_on
-                or EXTRA_DATA in _used(run)
-                for run in runs
-            )
-            if name != HELD_OUT_TASKS or not any(more):
+            if name != HELD_OUT_TASKS or not any(map(_learned_from_more, runs)):
                 found += _standing(runs, tasks)
         prior = [row for row in found if BENCHMARK_PRIOR in row.used]
         boards.append(Board(name, _ranked([row for row in found if row not in prior])))
         boards.append(Board(name + WITH_PRIOR, _ranked(prior)))
     return [board for board in boards if board.standings or board is boards[0]]
+
+
+def _learned_from_more(run: Entry) -> bool:
+    record = run.record
+    more = record.pretrained_on or EXTRA_DATA in _used(run)
+    return bool(more) or record.num_demos not in (DEMOS, None)
 
 
 def _standing(entries: Sequence[Entry], tasks: Collection[str]) -> list[Standing]:
