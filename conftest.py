@@ -19,7 +19,7 @@ SHARED = ROOT.parent / "shared"
 collect_ignore = [] if (ROOT / "studies").is_dir() else ["tests/studies", "tests/test_docs.py"]
 if find_spec("magical_baselines") is None or find_spec("magical_goals") is None:
     collect_ignore += ["baselines", "goals", "tests/studies", "tests/tools", "tests/test_docs.py"]
-    collect_ignore += ["tests/test_examples.py", "tests/report/test_curves.py"]
+    collect_ignore += ["tests/test_examples.py"]
 if find_spec("magical_play") is None:
     collect_ignore += ["play"]
 # Human demonstrations, which cannot be part of the repository: the folder of each fixture below.

@@ -12,13 +12,11 @@ SCRIPT = "import time; start = time.process_time(); import {}; print(time.proces
 
 
 def seconds(modules: str) -> float:
-    """The time of one import in a fresh interpreter."""
     command = [sys.executable, "-c", SCRIPT.format(modules)]
     return float(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
 
 
 def main() -> None:
-    """Print the median and the slowest of several imports."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--repeats", type=int, default=20)
     repeats = parser.parse_args().repeats

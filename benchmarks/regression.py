@@ -30,7 +30,6 @@ def workload() -> None:
 
 
 def measurements() -> dict[str, Callable[[], object]]:
-    """What is measured, by name."""
     env = MagicalEnv("ClusterColour", "Demo", observation="LoRes4E")
     state = MagicalEnv("ClusterColour", "Demo", observation="state")
     envs = MagicalVectorEnv([ENV_ID] * 8, workers=1)

@@ -64,7 +64,6 @@ def measure(scene: Scene, view: View, size: int, repeats: int) -> list[float]:
 
 
 def main() -> None:
-    """Print the table."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

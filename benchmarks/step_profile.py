@@ -80,7 +80,6 @@ def profile_parts(envs: MagicalVectorEnv, actions: np.ndarray, profile: Profile)
 
 
 def report(profile: Profile) -> None:
-    """Print the table."""
     step = profile.microseconds("step")
     parts = {
         "simulation and reading": profile.microseconds("simulation"),

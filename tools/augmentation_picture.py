@@ -52,7 +52,6 @@ def table(shown: dict[str, torch.Tensor]) -> Image.Image:
 
 
 def main() -> None:
-    """Write the picture."""
     PICTURE.parent.mkdir(parents=True, exist_ok=True)
     augmentations().save(PICTURE, optimize=True)
     print(f"wrote {PICTURE}")

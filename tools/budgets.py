@@ -15,7 +15,6 @@ MAX_FILE_LINES = 800
 
 
 def lines_of(path: Path) -> int:
-    """The number of lines of one file."""
     return len(path.read_bytes().splitlines())
 
 

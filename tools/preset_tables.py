@@ -103,7 +103,6 @@ def row(kind: type[Config], option: Field) -> Iterator[str]:
 
 
 def shown(value: Any) -> str:
-    """A value as text."""
     if isinstance(value, bool) or value is None:
         return {True: "yes", False: "no", None: "one per core"}[value]
     if isinstance(value, tuple):

@@ -27,7 +27,6 @@ def rollout(task: str) -> list[Image.Image]:
 
 
 def main() -> None:
-    """Make and write the animation."""
     step, tall = SIZE + GAP, SIZE + CAPTION
     rows = -(-len(magical.TASKS) // COLUMNS)
     sheets = [Image.new("RGB", (COLUMNS * step - GAP, rows * tall), "white") for _ in range(FRAMES)]

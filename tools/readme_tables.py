@@ -34,7 +34,6 @@ PAPER = {"BC (ST)": (DEMONSTRATIONS,), "GAIL (ST)": (DEMONSTRATIONS, INTERACTION
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """A Markdown table."""
     lines = [header, ["---"] * len(header), *rows]
     return "\n".join(f"| {' | '.join(map(str, line))} |" for line in lines)
 
@@ -64,24 +63,21 @@ class Row(NamedTuple):
 
     @property
     def method(self) -> str:
-        """Its name in entries."""
         return self.standing.method
 
     @property
     def name(self) -> str:
-        """Its name in the table."""
         marks = self.standing.statements.mark + self.mark
         return "scripted expert" if self.is_reference else self.method + marks
 
     @property
     def is_reference(self) -> bool:
-        """Whether it is not trained."""
         return self.standing.is_reference
 
     @property
     def num_runs(self) -> int:
         """The number of runs of each task: that of the task with the fewest."""
-        counts = Counter(task for run in self.runs for task in run.tasks)
+        counts = Counter(task for run in self.runs for task in run.entry.tasks)
         return min(counts[task] for task in published_tasks())
 
     @property
@@ -121,7 +117,7 @@ def result_rows(found: Found) -> list[Row]:
 
 def _rows(results: Sequence[Result]) -> Iterator[list[Row]]:
     """The rows of each board of all tasks."""
-    runs = [run for run in results if not set(published_tasks()).isdisjoint(run.tasks)]
+    runs = [run for run in results if not set(published_tasks()).isdisjoint(run.entry.tasks)]
     groups = group_by(runs, attrgetter("entry.method"))
     for board in make_boards(runs):
         if ALL_TASKS in board.name:

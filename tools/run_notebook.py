@@ -77,7 +77,6 @@ def _data(value: Any) -> dict[str, Any]:
 
 
 def main(paths: list[str]) -> int:
-    """Run notebooks and write them back."""
     for path in map(Path, paths):
         notebook = read_notebook(path)
         run_notebook(notebook)

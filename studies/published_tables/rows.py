@@ -101,7 +101,7 @@ def _faults(result: Result) -> list[str]:
     entry, faults = result.entry, []
     if nudge := entry.evaluated.nudge:
         faults.append(f"nudge {nudge:g}, expected 0: published scores are of the exact scene")
-    for name in result.tasks:
+    for name in entry.tasks:
         task = get_task(name)
         if not is_comparable(task, entry):
             steps = task.resolve_horizon("published")

@@ -40,8 +40,7 @@ def write_entry(tmp_path: Path) -> WriteEntry:
         make_entry(method, scores, **fields).write(folder)
         if seed is not None:
             tasks = list(dict.fromkeys(env.split("-")[0] for env in scores))
-            write_json(folder / "config.json", {"seed": seed, "tasks": tasks, "algorithm": "bc"})
-            write_json(folder / "run.json", {"versions": {"torch": "9.9"}})
+            write_json(folder / "config.json", {"seed": seed, "tasks": tasks})
         return folder
 
     return write

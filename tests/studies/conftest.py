@@ -8,8 +8,5 @@ from tests.report.conftest import write_entry
 __all__ = ["finished", "planned", "tiny", "write_entry"]
 
 # What executes plans cannot even be imported without PyTorch.
-NEED_TORCH = (
-    *("collecting", "layout", "networks", "object_networks", "pages", "perception", "plans"),
-    *("restoring", "scenes", "weights"),
-)
+NEED_TORCH = ("collecting", "pages")
 collect_ignore = [] if find_spec("torch") else [f"test_{name}.py" for name in NEED_TORCH]

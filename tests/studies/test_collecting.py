@@ -1,6 +1,7 @@
-"""Collecting what a plan's runs scored, by `studies/collect.py`."""
+"""Collecting what a plan's runs scored, and going on with the plan from that."""
 
 import json
+import re
 import shutil
 from dataclasses import replace
 from functools import partial
@@ -9,15 +10,17 @@ from typing import Any
 
 import pytest
 
-from baselines.tests.experiments.conftest import Planned
+from baselines.tests.experiments.conftest import Planned, execute
 from magical.evaluation import Entry, Evaluation, environments, read_entry
 from magical.evaluation.entry import ENTRY_FILE, SCORES_FILE, write_collection
+from magical.plugins import import_user_module
 from magical.report.found import search_results
 from magical.report.leaderboard import make_leaderboard
-from magical_baselines.experiments.plan import planned_runs
+from magical_baselines.experiments.plan import planned_runs, read_plan
+from magical_baselines.experiments.status import read_status
 from studies import collect as collect_results
+from studies import restore as restore_results
 from studies.generated_tasks.baselines import read_methods
-from tests.studies.study_plans import read_study_plan
 
 
 @pytest.fixture
@@ -38,8 +41,8 @@ def change(path: Path, old: str, new: str) -> None:
     path.write_text(text.replace(old, new))
 
 
-def collect(source: Path, out: Path, plan: Path) -> list[str]:
-    return list(collect_results.collect([source], out, plan))
+def collect(source: Path, out: Path, plan: Path, **options: Any) -> list[str]:
+    return list(collect_results.collect([source], out, plan, **options))
 
 
 def files(folder: Path) -> dict[str, bytes]:
@@ -56,56 +59,25 @@ def known(out: Path) -> dict[str, Any]:
 
 
 def test_scores_are_collected_and_weights_are_not(
-    finished: Path, tiny: Path, out: Path, planned: Planned
+    copied: Path, tiny: Path, out: Path, planned: Planned
 ) -> None:
-    assert collect(finished, out, tiny) == []
-    assert files(out).keys() == {"plan.json", "entries.json", "scores.csv.gz"}
-    assert entries(out) == {
-        f"runs/{run.folder}": read_entry(finished / "runs" / run.folder) for run in planned()
-    }
-    found = known(out)
-    assert found["version"] == search_results([out]).entries[0].version
-    assert set(found["runs"]) == {run.folder for run in planned()}
-    assert all(run["seconds"]["training"] > 0 for run in found["runs"].values())
-
-
-def test_test_evaluations_are_stated_in_the_entries_and_stay(
-    copied: Path, tiny: Path, out: Path, planned: Planned, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(collect_results, "Evaluation", partial(Evaluation, rollouts=1))
-    list(collect_results.collect([copied], out, tiny, leaderboard=True, test_evaluations=3))
-    for run in planned():
-        entry = entries(out)[f"runs/{run.folder}"]
-        assert entry.record.test_evaluations == 3
-        record = replace(entry.record, test_evaluations=None)
-        assert replace(entry, record=record) == read_entry(copied / "runs" / run.folder)
-        assert entries(out)[f"runs/{run.folder}/leaderboard"].record.test_evaluations == 3
-    before = files(out)
-    assert list(collect_results.collect([copied], out, tiny, test_evaluations=9)) == []
-    assert files(out) == before
-    with pytest.raises(SystemExit) as stopped:
-        collect_results.main([str(copied), "--out", str(out), "--test-evaluations", "-1"])
-    assert stopped.value.code == 2
-
-
-def test_runs_of_several_commits_are_named(copied: Path, tiny: Path, out: Path) -> None:
     for number, path in enumerate(sorted(copied.glob(f"runs/*/{ENTRY_FILE}"))):
         entry = json.loads(path.read_text())
         entry["record"]["commit"] = f"{number}bcdef0123"
         path.write_text(json.dumps(entry))
     (note,) = collect(copied, out, tiny)
     assert note == "note: runs of several commits: 1 of 0bcdef0, 1 of 1bcdef0"
-
-
-def test_reports_and_the_leaderboard_read_it(
-    finished: Path, tiny: Path, out: Path, planned: Planned
-) -> None:
-    collect(finished, out, tiny)
-    kept = entries(out)
+    assert files(out).keys() == {"plan.json", "entries.json", "scores.csv.gz"}
+    kept = {f"runs/{run.folder}": read_entry(copied / "runs" / run.folder) for run in planned()}
+    assert entries(out) == kept
+    found = known(out)
+    assert found["version"] == search_results([out]).entries[0].version
+    assert set(found["runs"]) == {run.folder for run in planned()}
+    assert all(run["seconds"]["training"] > 0 for run in found["runs"].values())
+    # Reports and the leaderboard read it.
     del kept[f"runs/{planned()[1].folder}"]
     write_collection(out, kept)
-    found = search_results([out])
-    assert [entry.method for entry in found.entries] == ["BC tiny"]
+    assert [entry.method for entry in search_results([out]).entries] == ["BC tiny"]
     (rejected,) = make_leaderboard([out]).rejected
     assert any("without Jitter" in reason for reason in rejected.reasons)
 
@@ -123,33 +95,40 @@ def test_it_can_be_repeated_while_runs_go_on(
     assert len(entries(out)) == 2
     assert entries(out)[f"runs/{first.name}"] == kept
     after = files(out)
-    assert collect(copied, out, tiny) == []
+    assert collect(copied, out, tiny, test_evaluations=9) == []
     assert files(out) == after
 
 
 def test_the_leaderboards_evaluation_is_made_once_and_collected(
+    copied: Path, tiny: Path, out: Path, planned: Planned, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(collect_results, "Evaluation", partial(Evaluation, rollouts=2))
+    first, second = (run.folder for run in planned())
+    (copied / "runs" / second / "result.json").unlink()
+    assert collect(copied, out, tiny)  # first without
+    shutil.rmtree(out)
+    collect(copied, out, tiny, leaderboard=True, test_evaluations=3)
+    entry, run = entries(out)[f"runs/{first}/leaderboard"], entries(out)[f"runs/{first}"]
+    assert (entry.method, entry.evaluated.nudge) == ("BC tiny", 1e-9)
+    assert (entry.record.policy, len(entry.scores)) == (
+        "..",
+        2 * len(environments(["MoveToRegion"])),
+    )
+    assert entry.record.test_evaluations == run.record.test_evaluations == 3
+    stated = replace(run.record, test_evaluations=None)
+    assert replace(run, record=stated) == read_entry(copied / "runs" / first)
+    assert len(read_methods([out])["BC tiny"]) == 1  # of the run, not of both evaluations
+    monkeypatch.setattr(collect_results, "evaluate_run", None)
+    collect(copied, out, tiny, leaderboard=True)
+
+
+def test_what_cannot_be_used_is_left_out_with_its_reason(
     copied: Path,
     tiny: Path,
     out: Path,
     planned: Planned,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(collect_results, "Evaluation", partial(Evaluation, rollouts=2))
-    (planned_run, _) = planned()
-    (copied / "runs" / planned()[1].folder / "result.json").unlink()
-    assert collect(copied, out, tiny)  # first without
-    list(collect_results.collect([copied], out, tiny, leaderboard=True))
-    entry = entries(out)[f"runs/{planned_run.folder}/leaderboard"]
-    assert (entry.method, entry.evaluated.nudge) == ("BC tiny", 1e-9)
-    assert entry.record.policy == ".."
-    assert len(entry.scores) == 2 * len(environments(["MoveToRegion"]))
-    assert len(read_methods([out])["BC tiny"]) == 1  # of the run, not of both evaluations
-    monkeypatch.setattr(collect_results, "evaluate_run", None)
-    list(collect_results.collect([copied], out, tiny, leaderboard=True))
-
-
-def test_what_cannot_be_used_is_left_out_with_its_reason(
-    copied: Path, tiny: Path, out: Path, planned: Planned, tmp_path: Path
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     first, second = (copied / "runs" / run.folder for run in planned())
     change(second / ENTRY_FILE, '"version": "', '"version": "9.')
@@ -166,14 +145,9 @@ def test_what_cannot_be_used_is_left_out_with_its_reason(
         "missing: BC tiny, MoveToRegion, seed 1: no room",
     ]
     assert entries(out) == {}
-
-
-def test_what_is_no_results_folder_is_refused(
-    tiny: Path, out: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert collect_results.main([str(tmp_path), "--out", str(out), "--plan", str(tiny)]) == 1
+    argv = [str(tmp_path), "--out", str(out), "--plan", str(tiny)]
+    assert collect_results.main(argv) == 1
     assert "expected a results folder, found no plan.json" in capsys.readouterr().err
-    assert not out.exists()
 
 
 def test_runs_that_are_no_longer_the_plans_count_nowhere(
@@ -187,18 +161,13 @@ def test_runs_that_are_no_longer_the_plans_count_nowhere(
     assert left_out.startswith("left out: ")
     assert stale == f"does not count any more: {out / 'runs' / second}: not a run of {changed}"
     assert set(known(out)["runs"]) == {first}
-    (skipped,) = search_results([out]).skipped
-    assert (skipped.folder.name, skipped.reason) == (
-        second,
-        "not a run of the current plan, but of an earlier one",
-    )
+    assert [skipped.folder.name for skipped in search_results([out]).skipped] == [second]
 
 
 def test_runs_with_earlier_names_and_options_are_the_plans(
-    copied: Path, tiny: Path, out: Path, planned: Planned, monkeypatch: pytest.MonkeyPatch
+    copied: Path, tiny: Path, out: Path, planned: Planned
 ) -> None:
-    monkeypatch.setattr(collect_results, "Evaluation", partial(Evaluation, rollouts=1))
-    list(collect_results.collect([copied], out, tiny, leaderboard=True))
+    assert collect(copied, out, tiny) == []
     before, names = entries(out), [run.folder for run in planned()]
     text = (out / "plan.json").read_text().replace('"device": "auto",', '"gone": 1,')
     assert "gone" in text
@@ -212,7 +181,6 @@ def test_runs_with_earlier_names_and_options_are_the_plans(
     assert collect(copied, out, tiny) == []
     assert entries(out) == before
     assert set(known(out)["runs"]) == set(names)
-    assert (known(out)["runs"][names[0]]["seed"], len(entries(out))) == (0, 4)
 
 
 # Their augmented frames were rendered, their autoencoder was refined, or they changed settings of
@@ -230,6 +198,44 @@ def test_all_that_was_collected_is_of_todays_plans(root: Path) -> None:
             continue
         collected = collect_results.Collected(**json.loads(path.read_text())["collected"])
         plan = path.parents[2] / "plans" / f"{path.parent.name}.toml"
-        planned = {run.folder: run for run in planned_runs(read_study_plan(plan))}
+        for module in re.findall(r"^#.* --import (\S+)", plan.read_text(), re.MULTILINE):
+            import_user_module(module)
+        planned = {run.folder: run for run in planned_runs(read_plan(plan))}
         collected.adopt(planned)
         assert collected.runs.keys() <= planned.keys(), path
+
+
+def test_a_plan_goes_on_where_it_was_collected(
+    copied: Path,
+    finished: Path,
+    tiny: Path,
+    out: Path,
+    planned: Planned,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    first, second = (run.folder for run in planned())
+    collect(copied, out, tiny)
+    again, waiting = tmp_path / "again", ["done", "waiting"]
+    assert restore_results.restore(out, again, again=1) == 1  # the runs of a seed are done again
+    assert [run.state for run in read_status(again).runs] == waiting
+    assert restore_results.main([str(out), "--out", str(again)]) == 1
+    assert "expected a new folder" in capsys.readouterr().err
+    shutil.rmtree(out)
+    shutil.rmtree(again)
+    assert restore_results.main([str(out), "--out", str(again)]) == 1
+    assert "expected collected runs, found none" in capsys.readouterr().err
+    (copied / "runs" / second / "result.json").unlink()
+    collect(copied, out, tiny)
+    assert restore_results.restore(out, again) == 1
+    assert [run.state for run in read_status(again).runs] == waiting
+    before = (out / "plan.json").read_bytes()
+    left_out, missing = collect(again, out, tiny, leaderboard=True)
+    assert left_out.startswith("left out: ")  # no weights to evaluate
+    assert missing == "missing: BC tiny, MoveToRegion, seed 1: not done"
+    assert (out / "plan.json").read_bytes() == before
+    assert [run.folder for run in execute(planned(), again)] == [second]
+    assert read_status(again).complete
+    for name in (first, second):
+        file = Path("runs") / name / "scores.csv"
+        assert (again / file).read_bytes() == (finished / file).read_bytes()

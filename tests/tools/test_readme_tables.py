@@ -47,8 +47,6 @@ def test_a_row_with_fewer_than_three_runs_is_refused() -> None:
     two = [run(seed, 0.5, by_protocol=False) for seed in range(2)]
     with pytest.raises(SystemExit, match=r"BC \(MT\): expected 3 runs of each task, found 2"):
         rows(two)
-    with pytest.raises(SystemExit, match="found 0"):
-        rows([])
 
 
 def test_other_scores_stand_in_with_a_mark_until_three_runs_follow_the_protocol() -> None:
@@ -62,14 +60,7 @@ def test_the_best_row_of_three_runs_is_shown_and_no_single_run() -> None:
     ranked = [run(seed, 0.5, by_protocol=True) for seed in range(3)]
     better = [run(seed, 0.6, by_protocol=True, method="better") for seed in range(3)]
     lucky = [run(0, 0.9, by_protocol=True, method="lucky")]
-    expected = [("better", "0.60", 3), ("BC (MT)", "0.50", 3)]
-    assert rows([*ranked, *better, *lucky]) == expected
-
-
-def test_a_row_has_its_class_and_the_command_of_its_plan() -> None:
-    (row,) = readme_tables.result_rows(
-        Found([run(seed, seed / 10, by_protocol=True) for seed in range(3)])
-    )
-    assert row.standing.track == "P"
+    first, second = readme_tables.result_rows(Found([*ranked, *better, *lucky]))
+    assert (first.name, second.name, second.standing.track) == ("better", "BC (MT)", "P")
     plan = "studies/published_tables/plans/bc-multi-human.toml"
-    assert row.command == f"magical run {plan} --demos human"
+    assert second.command == f"magical run {plan} --demos human"

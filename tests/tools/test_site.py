@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from tools.site.staging import Source, place
+from tools.site.staging import Source
 
 
 @pytest.fixture
@@ -27,13 +27,6 @@ def source(tmp_path: Path) -> Source:
     return made
 
 
-def test_places_are_those_of_the_repository_without_docs() -> None:
-    assert place("docs/how-to/a.md") == "how-to/a.md"
-    assert place("README.md") == "index.md"
-    assert place("examples/tutorial.ipynb") == "examples/tutorial.md"
-    assert place("studies/one/script.py") == "studies/one/script.py"
-
-
 def test_links_are_rewritten_and_what_they_lead_to_is_copied(source: Source) -> None:
     page = (source.folder / "page.md").read_text()
     assert "[study](studies/one/README.md#answer)" in page
@@ -50,26 +43,18 @@ def test_a_broken_link_is_named_by_file_and_line(source: Source) -> None:
     assert source.locate("made.md", "Made") == "made.md (generated):1"
 
 
-def test_what_a_page_loads_from_another_host_is_found(tmp_path: Path) -> None:
+def test_what_mkdocs_finds_wrong_is_named_by_file_and_line(source: Source, tmp_path: Path) -> None:
     pytest.importorskip("mkdocs", reason="the docs extra is not installed")
-    from tools.site.__main__ import loaded_from_elsewhere
+    from tools.site.__main__ import loaded_from_elsewhere, located
 
-    (tmp_path / "a.html").write_text('<a href="https://a.org">a</a> <img src="b.png">')
-    assert list(loaded_from_elsewhere(tmp_path)) == []
-    (tmp_path / "b.html").write_text('<link rel="x" href="https://a.org/b.css">')
-    (found,) = loaded_from_elsewhere(tmp_path)
-    assert found.startswith("b.html: loads from another host: ")
-
-
-@pytest.mark.parametrize(
-    "message",
-    [
+    for message in (
         "Doc file 'page.md' contains a link 'studies/one/README.md', but ...",
         "mkdocs_autorefs: page.md: Could not find cross-reference target 'gone'",
-    ],
-)
-def test_what_mkdocs_finds_wrong_is_named_by_file_and_line(source: Source, message: str) -> None:
-    pytest.importorskip("mkdocs", reason="the docs extra is not installed")
-    from tools.site.__main__ import located
-
-    assert located(source, message).startswith(("docs/page.md:3: ", "docs/page.md:4: "))
+    ):
+        assert located(source, message).startswith(("docs/page.md:3: ", "docs/page.md:4: "))
+    site = tmp_path / "built"
+    site.mkdir()
+    (site / "a.html").write_text('<a href="https://a.org">a</a> <img src="b.png">')
+    (site / "b.html").write_text('<link rel="x" href="https://a.org/b.css">')
+    (found,) = loaded_from_elsewhere(site)
+    assert found.startswith("b.html: loads from another host: ")

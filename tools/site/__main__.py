@@ -36,14 +36,11 @@ FOUND = (
 
 
 class Warnings(logging.Handler):
-    """Collects the warnings of a build."""
-
     def __init__(self) -> None:
         super().__init__(logging.WARNING)
         self.messages: list[str] = []
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Collect one warning."""
         self.messages.append(record.getMessage())
 
 

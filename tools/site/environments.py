@@ -12,10 +12,9 @@ from magical.evaluation import by_variant, published_methods, published_score, p
 from magical.report.found import Result
 from magical.report.leaderboard import WITH_PRIOR, Leaderboard
 from magical.scene.constants import CONTROL_RATE
-from magical.tasks import TASKS, VARIANTS, Task
+from magical.tasks import CHANGES, TASKS, VARIANTS, Task
 from magical.tasks.axes import short_variant
 from tools.readme_tables import table
-from tools.site.descriptions import Paragraph, describe_changes, scoring_rule
 from tools.site.previews import SIZE, EnvPreview, make_previews
 
 FOLDER = "environments"
@@ -34,13 +33,10 @@ NOTE = (
 
 @dataclass(frozen=True)
 class Row:
-    """A method's scores on one task."""
-
     method: str
     scores: Mapping[str, str]  # by short variant name, as text
 
     def cells(self, variants: Sequence[str]) -> list[str]:
-        """The row of a table."""
         return [self.method, *(self.scores.get(short_variant(name), "") for name in variants)]
 
 
@@ -136,7 +132,7 @@ def task_page(task: Task, rows: Sequence[Row]) -> str:
         f"{picture('Demo', f'The expert in {task.name} Demo')}\n"
         f"{picture('TestAll', f'The expert in {task.name} TestAll')}\n\n"
         "The scripted expert in Demo and in TestAll, at twice the control rate.\n\n"
-        f"## Score\n\n{prose(scoring_rule(task))}\n\n"
+        f"## Score\n\n{scoring_rule(task)}\n\n"
         f"**Horizon**: {_horizon(task)}\n\n"
         f"## Variants\n\n{varies}\n\n"
         f"## Scores\n\n{scores}\n\n{NOTE}\n"
@@ -166,20 +162,30 @@ def environment_page(task: Task, variant: str, rows: Sequence[Row], kept: str) -
         f"**What varies**: {changes}\n\n"
         f"**Horizon**: {_horizon(task)}\n\n"
         f"**Score** ([the task](index.md) and its other variants):\n\n"
-        f"{prose(scoring_rule(task))}\n\n"
+        f"{scoring_rule(task)}\n\n"
         f"## Scores\n\n{scores}\n\n{NOTE}\n"
     )
 
 
-def prose(paragraphs: Sequence[Paragraph]) -> str:
-    """Paragraphs in Markdown; formulas as blocks."""
+def scoring_rule(task: Task) -> str:
+    """A task's scoring rule in Markdown; paragraphs that are indented are formulas."""
     cited = "[specification](../../specification.md)"
-    return "\n\n".join(
-        f"```text\n{p.text}\n```"
-        if p.is_formula
-        else p.text.replace("docs/specification.md", cited)
-        for p in paragraphs
-    )
+    parts = []
+    for paragraph in task.rule.split("\n\n"):
+        text = " ".join(paragraph.replace("`", "").split())
+        is_formula = paragraph.startswith(" ")
+        text = text if is_formula else text.replace("docs/specification.md", cited)
+        parts.append(f"```text\n{text}\n```" if is_formula else text)
+    return "\n\n".join(parts)
+
+
+def describe_changes(task: Task, variant: str) -> str:
+    """What a variant changes: the description of its only axis, or the names of its axes."""
+    axes = [axis for axis in CHANGES if axis in task.axes_of(variant)]
+    if not axes:
+        return "the scene of the demonstrations"
+    names = ", ".join(str(axis.name).lower() for axis in axes)
+    return CHANGES[axes[0]] if len(axes) == 1 else names
 
 
 def picture(name: str, text: str) -> str:
@@ -215,7 +221,7 @@ def _evaluated(task: Task, results: Sequence[Result], methods: Iterable[str]) ->
     for method in methods:
         means: dict[str, list[float]] = {}
         for result in results:
-            if result.entry.method == method and task.name in result.tasks:
+            if result.entry.method == method and task.name in result.entry.tasks:
                 for short, cell in by_variant(result.entry.scores)[task.name].items():
                     means.setdefault(short, []).append(float(np.mean([r.score for r in cell])))
         if means:

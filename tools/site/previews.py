@@ -1,6 +1,7 @@
 """The scene of every environment and a rollout of its scripted expert, as image files."""
 
 import io
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -15,9 +16,8 @@ from magical.demos.reader import Frames
 from magical.envs import EnvId
 from magical.processes import checked_workers, map_in_processes
 from magical.report.figures import Clip
-from magical.scene import View
+from magical.scene import Scene, View
 from magical.scene.constants import CONTROL_RATE
-from tools.site.descriptions import describe_scene
 
 SIZE = 288  # pixels across
 SPEED = 2  # of animations, a multiple of the benchmark's control rate
@@ -67,6 +67,14 @@ def _make(seed: int, env_id: EnvId) -> EnvPreview:
         clip.webp(SPEED * CONTROL_RATE, EFFORT, lossless=True),
         clip.score,
     )
+
+
+def describe_scene(scene: Scene) -> str:
+    """The contents of a scene, such as `a robot, 1 blue goal region, 2 red squares`."""
+    kinds = [f"{region.colour} goal region" for region in scene.regions]
+    kinds += [f"{block.colour} {block.shape}" for block in scene.blocks]
+    counted = [f"{n} {kind}{'s' if n > 1 else ''}" for kind, n in Counter(kinds).items()]
+    return ", ".join(["a robot", *counted])
 
 
 def encoded(pixels: NDArray[np.uint8], kind: str, **options: Any) -> bytes:

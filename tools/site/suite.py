@@ -19,7 +19,6 @@ HEADER = ("Demo", "Task", "Instruction and program", "Expert, Demo", "Expert, Te
 
 
 def pages(root: Path) -> dict[str, str | bytes]:
-    """The page and the pictures, by path in the site."""
     with (root / EXPERT).open() as file:
         scores = {f"Generated{row['number']:0>4}": row for row in csv.DictReader(file)}
     made: dict[str, str | bytes] = {f"{FOLDER}/index.md": page(scores)}

@@ -12,8 +12,15 @@ from magical.commands import _common as common
 from magical.evaluation.entry import policy_of
 from magical.extras import require
 from magical.report.found import find_results
-from magical.report.page import FORMATS, all_tables, format_of, plain_rows, write_page
-from magical.report.table import matching_methods, rows_of
+from magical.report.table import (
+    all_tables,
+    format_of,
+    matching_methods,
+    plain_rows,
+    rows_of,
+    write_page,
+    write_tables,
+)
 
 TITLE = "MAGICAL: results"
 
@@ -53,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
     rows = rows_of(found.entries)
     published = tuple(matching_methods(found.entries) if args.published is None else args.published)
     for table in all_tables(rows, published):
-        common.print_table(table.header, table.rows)
+        common.print_table(table.header, table.texts)
         print(f"{table.note}\n")
     notes: Sequence[str] = ()
     if kind == "html":
@@ -66,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
             clips=args.clips or 0,
         )
     elif kind:
-        FORMATS[kind](found, published, args.out)
+        write_tables(kind, rows, published, args.out)
     if kind:
         common.log(f"wrote {args.out}")
     for note in notes:

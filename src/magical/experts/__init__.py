@@ -30,8 +30,7 @@ Constants are at the top of the file that uses them, each with its unit and orig
 read off the simulator; "swept" is the best of a grid of values by expert scores over many
 environments; "tuned" was set by hand on expert scores, mostly on the Cluster tasks and MakeLine;
 "for time" gives up quality to save computing time. None was set on the evaluation seeds
-(docs/protocol.md). `benchmarks/expert_constants.py` measures the effect of each, except those of
-`noise`.
+(docs/protocol.md). The study `experts` has measured the effect of each, except those of `noise`.
 """
 
 from magical.experts.expert import Expert, expert_for, strategy_seed

@@ -1,4 +1,4 @@
-"""Figures: intervals, learning curves, rollouts as animations; SVG and WebP for one HTML page."""
+"""Figures for one HTML page: plots and learning curves as SVG, rollouts as animated WebP."""
 
 import base64
 import html
@@ -12,7 +12,7 @@ from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from operator import attrgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ from magical.envs import EnvId
 from magical.envs.seeds import evaluation_seed
 from magical.envs.vector import MagicalVectorEnv
 from magical.errors import MagicalError, RunFolderError
-from magical.evaluation import Entry, Evaluation, Policy, RolloutScore, by_variant
+from magical.evaluation import Evaluation, Policy, RolloutScore, by_variant
 from magical.evaluation.policy import action_spec_of, observation_for
 from magical.evaluation.rollouts import play
 from magical.evaluation.statistics import Floats, Interval
@@ -44,7 +44,7 @@ STYLE: Any = {
     "text.parse_math": False,  # method names are shown verbatim
 }
 PANELS = ("loss", "accuracy", "score")  # of a page, if the metrics have them
-NOT_PLOTTED = ("step", "environment_steps", "warning")
+NOT_PLOTTED = ("step", "environment_steps")
 COLUMNS = 4  # of the figure of `save_learning_curves`
 SMOOTHING = 50  # rows of metrics in the moving average, at most a tenth of all
 MAX_POINTS = 200  # of a curve, roughly: it may have up to twice as many
@@ -129,41 +129,38 @@ def curves_by_task(results: Sequence[Result]) -> tuple[dict[str, list[str]], dic
     determines its colour.
     """
     methods = list(dict.fromkeys(result.entry.method for result in results))
-    runs = {result.run: result for result in results if result.run is not None}
-    groups: dict[str, list[tuple[str, Any]]] = {}
-    damaged = {}
-    for folder, result in runs.items():
+    metrics: dict[str, list[tuple[str, Any]]] = {}  # by task, of each run with its method
+    damaged: dict[Path, str] = {}
+    for folder, result in {result.run: result for result in results if result.run}.items():
         try:
             if rows := read_metrics(folder):
-                tasks = result.config.get("tasks") or result.tasks
-                groups.setdefault(in_words(tuple(tasks)), []).append((result.entry.method, rows))
+                task = in_words(tuple(result.config.get("tasks") or result.entry.tasks))
+                metrics.setdefault(task, []).append((result.entry.method, rows))
         except RunFolderError as error:
             damaged[folder] = str(error)
     figures: dict[str, list[str]] = {}
-    for number, (task, of_task) in enumerate(groups.items()):
+    for number, (task, runs) in enumerate(metrics.items()):
         for key in PANELS:
-            curves = [
-                (method, points) for method, rows in of_task if (points := _points(rows, key))
-            ]
-            if curves:
-                name = f"curve-{number}-{key}"
-                figures.setdefault(task, []).append(_panel(curves, key, methods, task, name))
+            curves = [(methods.index(name), _points(rows, key)) for name, rows in runs]
+            if curves := [(index, points) for index, points in curves if points]:
+                lines = [(methods[index], line_style(index), points) for index, points in curves]
+                drawn = _panel(lines, key, f"curve-{number}-{key}", task)
+                figures.setdefault(task, []).append(drawn)
     return figures, damaged
 
 
 def _panel(
-    curves: Sequence[tuple[str, Any]], key: str, methods: Sequence[str], task: str, name: str
+    curves: Sequence[tuple[str, dict[str, Any], Any]], key: str, name: str, task: str
 ) -> str:
     """One quantity of all runs on a task as SVG, with a legend below."""
     with plotting():
-        shown = len({method for method, _ in curves})
+        shown = len({method for method, _, _ in curves})
         figure = new_figure(3.0 + 0.22 * -(-shown // 2), width=4.8)
         axes = figure.subplots()
         lines: dict[str, Any] = {}
-        for method, points in curves:
+        for method, style, points in curves:
             # matplotlib leaves out of legends the names that begin with an underscore.
             label = f"\u200b{method}" if method.startswith("_") else method
-            style = line_style(methods.index(method))
             (lines[label],) = axes.plot(*_smooth(points), linewidth=1.3, alpha=0.85, **style)
         axes.set(title=key, xlabel="step")
         if key in ("accuracy", "score"):
@@ -176,12 +173,8 @@ def _panel(
 
 def _points(rows: Sequence[Mapping[str, Any]], key: str) -> list[tuple[float, float]]:
     """(step, value) where a quantity was measured."""
-    pairs = ((row["step"], row.get(key)) for row in rows)
-    return [
-        (step, value)
-        for step, value in pairs
-        if isinstance(value, int | float) and abs(step) < LARGEST and abs(value) < LARGEST
-    ]
+    pairs = [(row["step"], row[key]) for row in rows if isinstance(row.get(key), int | float)]
+    return [(step, y) for step, y in pairs if abs(step) < LARGEST and abs(y) < LARGEST]
 
 
 def _smooth(points: Sequence[tuple[float, float]]) -> tuple[Floats, Floats]:
@@ -199,19 +192,17 @@ def save_learning_curves(run: Path) -> Path | None:
     `None`, without a picture, if there are no numbers yet or matplotlib is not installed.
     """
     rows = read_metrics(run)
-    names = list(dict.fromkeys(name for row in rows for name in row if name not in NOT_PLOTTED))
-    if not names or importlib.util.find_spec("matplotlib") is None:
+    names = dict.fromkeys(name for row in rows for name in row if name not in NOT_PLOTTED)
+    curves = {name: points for name in names if (points := _points(rows, name))}
+    if not curves or importlib.util.find_spec("matplotlib") is None:
         return None
-    lines = math.ceil(len(names) / COLUMNS)
+    lines = math.ceil(len(curves) / COLUMNS)
     figure = new_figure(2.4 * lines, width=3.6 * COLUMNS)
-    panels = figure.subplots(lines, COLUMNS, squeeze=False).flatten()
-    for axes, name in zip(panels, names, strict=False):
-        points = [(row["step"], row[name]) for row in rows if row.get(name) is not None]
+    for place, (name, points) in enumerate(curves.items(), 1):
+        axes = figure.add_subplot(lines, COLUMNS, place)
         axes.plot(*zip(*points, strict=True), linewidth=1.0)
         axes.set_title(name.replace("_", " "), fontsize=10)
         tidy(axes)
-    for axes in panels[len(names) :]:
-        axes.set_axis_off()
     with write_atomically(run / CURVES) as file:
         figure.savefig(file, format="png", dpi=80)
     return run / CURVES
@@ -287,8 +278,7 @@ def record_rollouts(
     return [Clip(score, own, every) for score, own in parts]
 
 
-@dataclass(frozen=True, slots=True)
-class Reel:
+class Reel(NamedTuple):
     """Clips of one run's rollouts on a task, by variant, from best to worst."""
 
     title: str  # the row and the task
@@ -300,65 +290,56 @@ def record_reels(
 ) -> tuple[list[Reel], list[str]]:
     """Reels of at most `limit` runs, and notes on what is not shown and why.
 
-    For each method and task the run with the median mean score is chosen.
+    For each row and task the run with the median mean score is chosen.
     """
+    chosen: dict[str, tuple[Result, str]] = {}  # by title: the run and the task
+    for row, runs in by_row(results, attrgetter("entry")).items():
+        means: dict[str, list[tuple[float, int]]] = {}  # by task: the runs' means and numbers
+        for number, run in enumerate(runs):
+            for task, cells in by_variant(run.entry.scores).items():
+                scores = [rollout.score for cell in cells.values() for rollout in cell]
+                means.setdefault(task, []).append((float(np.mean(scores)), number))
+        for task, of_task in means.items():
+            _, median = sorted(of_task)[(len(of_task) - 1) // 2]
+            chosen[f"{row} on {task}"] = runs[median], task
     reels, notes = list[Reel](), list[str]()
-    chosen = _median_runs(results)
-    for row, task, result in chosen[:limit]:
-        title = f"{row} on {task}"
+    for title, (result, task) in list(chosen.items())[:limit]:
         try:
-            reels.append(_record(load_policy(result), result.entry, task, title))
+            reels.append(Reel(title, list(_clips(result, load_policy(result), task))))
         except (MagicalError, OSError) as error:
             notes.append(f"{title}: {error}")
-    if chosen[limit:]:
-        names = ", ".join(f"{row} on {task}" for row, task, _ in chosen[limit:])
-        notes.append(f"Not shown (--clips {limit} sets the limit): {names}")
+    if left := list(chosen)[limit:]:
+        notes.append(f"Not shown (--clips {limit} sets the limit): {', '.join(left)}")
     return reels, notes
 
 
-def _median_runs(results: Sequence[Result]) -> list[tuple[str, str, Result]]:
-    """(row, task, run): for each row and task, the run with the median mean score."""
-    chosen: list[tuple[str, str, Result]] = []
-    for label, runs in by_row(results, attrgetter("entry")).items():
-        for task in dict.fromkeys(task for run in runs for task in run.tasks):
-            means = [
-                (float(np.mean([s.score for s in run.entry.scores if s.env_id.task == task])), n)
-                for n, run in enumerate(runs)
-                if task in run.tasks
-            ]
-            chosen.append((label, task, runs[sorted(means)[(len(means) - 1) // 2][1]]))
-    return chosen
-
-
-def _record(policy: Policy, entry: Entry, task: str, title: str) -> Reel:
-    evaluation = entry.evaluation(policy)
-    steps = get_task(task).resolve_horizon(evaluation.horizon)
+def _clips(result: Result, policy: Policy, task: str) -> Iterator[tuple[str, str]]:
+    """The best, median and worst rollouts on a task's variants as data URIs, with captions."""
+    evaluation = result.entry.evaluation(policy)
     named = [
         (f"{variant}, {name}", row)
-        for variant, cell in by_variant(entry.scores)[task].items()
+        for variant, cell in by_variant(result.entry.scores)[task].items()
         for name, row in extremes(cell)
     ]
+    every = -(-get_task(task).resolve_horizon(evaluation.horizon) // REEL_FRAMES)
     rollouts = [(row.env_id, row.rollout) for _, row in named]
-    every = -(-steps // REEL_FRAMES)
     clips = record_rollouts(policy, evaluation, rollouts, size=REEL_SIZE, every=every)
-    shown = []
     for (name, row), clip in zip(named, clips, strict=True):
         same = abs(clip.score - row.score) < 1e-9
         caption = f"{name}: {clip.score:.2f}" + ("" if same else f" (recorded: {row.score:.2f})")
         data = base64.b64encode(clip.webp(quality=55)).decode()
-        shown.append((f"data:image/webp;base64,{data}", caption))
-    return Reel(title, shown)
+        yield f"data:image/webp;base64,{data}", caption
 
 
 def extremes(scores: Sequence[RolloutScore]) -> list[tuple[str, RolloutScore]]:
     """The best, the median and the worst rollout; only the first if all have the same score.
 
     Among rollouts with the same score, earlier ones count as worse; of two medians, the lower one
-    is taken.
+    is taken. Of two rollouts, the worst is the median.
     """
     ordered = sorted(scores, key=lambda row: (row.score, row.rollout))
     if ordered[0].score == ordered[-1].score:
         return [("every rollout", ordered[0])]
     median = ordered[(len(ordered) - 1) // 2]
     named = [("best", ordered[-1]), ("median", median), ("worst", ordered[0])]
-    return [pair for i, pair in enumerate(named) if pair[1] not in [row for _, row in named[:i]]]
+    return named[: len(ordered)]

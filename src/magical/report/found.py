@@ -1,11 +1,9 @@
-"""Evaluated runs in folders, at any depth, each in its own folder or in a collection."""
+"""Evaluated runs in folders at any depth: which of them count, and which share a row of tables."""
 
 import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
-from datetime import datetime
 from functools import cache, cached_property
 from operator import attrgetter
 from pathlib import Path
@@ -13,12 +11,13 @@ from typing import Any, NamedTuple, TypeVar
 
 from magical.envs import EnvId
 from magical.envs.action_spec import DISCRETE
-from magical.errors import ResultsError, RunFolderError, ScoresError
+from magical.errors import MagicalError, RunFolderError, ScoresError
 from magical.evaluation import BUILT_IN, Entry, RolloutScore, policy_names, read_entry
 from magical.evaluation.entry import ENTRIES_FILE, ENTRY_FILE, SCORES_FILE, read_collection
-from magical.evaluation.protocol import ROLLOUTS, SEED, Evaluated
+from magical.evaluation.protocol import ROLLOUTS, SEED
 from magical.grouping import group_by
 from magical.runs import CONFIG, PLAN, REFERENCES, RUNS, Listing, is_run, read_json, read_listing
+from magical.tasks import get_task
 from magical.tasks.horizons import APPENDIX, PUBLISHED
 
 TELLING = 20  # rollouts whose score is not the most frequent one: enough to identify a run
@@ -34,15 +33,13 @@ class Result:
     entry: Entry
     run: Path | None = None  # the folder of the training run, if there is one
 
-    @property
-    def tasks(self) -> tuple[str, ...]:
-        """The tasks that the run was evaluated on."""
-        return self.entry.tasks
-
     @cached_property
     def config(self) -> dict[str, Any]:
         """The training configuration; empty if there is none or it cannot be read."""
-        return {} if self.run is None else _read(self.run / CONFIG)
+        try:
+            return read_json(self.run / CONFIG) if self.run else {}
+        except RunFolderError:
+            return {}
 
     @property
     def seed(self) -> int | None:
@@ -83,10 +80,13 @@ def search_results(folders: Iterable[Path | str]) -> Found:
     known: set[Path] = set()
     listed = cache(_listing)  # every plan is read only once
     for root in map(Path, folders):
-        new = [place for place in _places(root) if place.resolve() not in known]
-        known.update(place.resolve() for place in new)
-        found = [pair for place in new for pair in _entries(place)]
-        for place, entry in found or [(root, _read_entry(root))]:  # the error says what is expected
+        found: list[tuple[Path, Entry | Exception]] = []
+        for path, names, _ in os.walk(root):
+            names[:] = sorted(name for name in names if not name.startswith("."))
+            if (place := Path(path)).resolve() not in known:
+                known.add(place.resolve())
+                found += _entries(place)
+        for place, entry in found or _entries(root, required=True):
             if place != root and not _is_planned(place, root, listed):
                 reason = "not a run of the current plan, but of an earlier one"
                 skipped.append(Skipped(place, reason))
@@ -97,11 +97,56 @@ def search_results(folders: Iterable[Path | str]) -> Found:
     return Found(results, skipped)
 
 
+def _entries(place: Path, required: bool = False) -> Iterator[tuple[Path, Entry | Exception]]:
+    """Every entry in a folder, or why it cannot be read, or if `required` why there is none."""
+    if (place / ENTRIES_FILE).exists():
+        try:
+            for name, entry in read_collection(place).items():
+                yield place / name, entry
+        except ScoresError as error:
+            yield place, error
+    if required or (place / SCORES_FILE).exists() or (place / ENTRY_FILE).exists():
+        try:
+            yield place, read_entry(place)
+        except (ScoresError, OSError) as error:
+            yield place, error
+
+
+def _run_of(place: Path, entry: Entry, root: Path) -> Path | None:
+    """The run folder of an entry: the one that it states, else its own, else one above it."""
+    if entry.record.policy in policy_names():
+        return None
+    above = [folder for folder in (place, *place.parents) if folder.is_relative_to(root)]
+    stated = place / entry.record.policy
+    return next((folder for folder in (stated, *above) if is_run(folder)), None)
+
+
+def _is_planned(place: Path, root: Path, listed: Callable[[Path], Listing]) -> bool:
+    """Whether a folder is not of a plan's run or reference policy, or the plan still lists it."""
+    for folder in (place, *place.parents):
+        results, kind = folder.parent.parent, folder.parent.name
+        if folder == root:
+            break
+        if kind in (RUNS, REFERENCES) and (results / PLAN).is_file():
+            runs = {run.folder for run in listed(results).runs} or None
+            names = runs if kind == RUNS else listed(results).references
+            return names is None or folder.name in names
+    return True
+
+
+def _listing(results: Path) -> Listing:
+    """What a results folder lists; nothing if the file is damaged."""
+    try:
+        return read_listing(results)
+    except MagicalError:
+        return Listing()
+
+
 def find_results(folders: Iterable[Path | str]) -> Found:
     """As `search_results`, but with at least one entry, and each training run once per table row.
 
     Of several evaluations of a run in the same way (`by_row`), the one with the most scores counts,
-    and of these the newest.
+    and of these the newest, by the dates in the entries.
 
     Raises:
         ScoresError: no entry can be read; the message says why the first one cannot.
@@ -111,17 +156,18 @@ def find_results(folders: Iterable[Path | str]) -> Found:
         reasons = [item.reason for item in found.skipped]
         raise ScoresError(reasons[0] if reasons else "expected folders, found none")
     skipped = list(found.skipped)
-    counted: list[Result] = []
+    counted: set[int] = set()
     for row in by_row(found.results, attrgetter("entry")).values():
         kept: list[Result] = []
-        for result in sorted(row, key=lambda r: (len(r.entry.scores), _time(r)), reverse=True):
+        order = sorted(row, key=lambda r: (len(r.entry.scores), r.entry.record.date), reverse=True)
+        for result in order:
             if other := same_run(result, kept):
                 reason = f"the same run as {other.folder}: each run counts only once in a table row"
                 skipped.append(Skipped(result.folder, reason))
             else:
                 kept.append(result)
-        counted += kept
-    results = [result for result in found.results if any(result is kept for kept in counted)]
+        counted |= set(map(id, kept))
+    results = [result for result in found.results if id(result) in counted]
     return replace(found, results=results, skipped=skipped)
 
 
@@ -135,13 +181,16 @@ def by_row(items: Iterable[T], entry_of: Callable[[T], Entry]) -> dict[str, list
     A label is the method's name, then the settings in which the rows of this method differ, except
     those of the protocol. Evaluation noise is always named.
     """
+
+    def settings_of(item: T) -> tuple[tuple[str, Any], ...]:
+        return tuple((entry_of(item).evaluated.settings | {"horizon": None}).items())
+
     rows: dict[str, list[T]] = {}
     for method, of_method in group_by(items, lambda item: entry_of(item).method).items():
-        found = [(item, entry_of(item).evaluated) for item in of_method]
         parts = [
-            ({**dict(settings), "horizon": horizon}, [item for item, _ in part])
-            for settings, alike in group_by(found, lambda pair: _settings(pair[1])).items()
-            for horizon, part in _by_horizon(alike).items()
+            (dict(settings) | {"horizon": horizon}, part)
+            for settings, alike in group_by(of_method, settings_of).items()
+            for horizon, part in _by_horizon(alike, entry_of).items()
         ]
         for settings, part in parts:
             label = ", ".join([method, *_differences(settings, [other for other, _ in parts])])
@@ -151,33 +200,21 @@ def by_row(items: Iterable[T], entry_of: Callable[[T], Entry]) -> dict[str, list
     return rows
 
 
-def _settings(evaluated: Evaluated) -> tuple[tuple[str, Any], ...]:
-    """Everything that scores depend on, except environments and horizon."""
-    return tuple((evaluated.settings | {"horizon": None}).items())
-
-
-def _by_horizon(
-    found: Sequence[tuple[T, Evaluated]],
-) -> Mapping[str, Sequence[tuple[T, Evaluated]]]:
+def _by_horizon(items: Sequence[T], entry_of: Callable[[T], Entry]) -> dict[str, list[T]]:
     """Evaluations by the horizon in words, or all together if no task has several horizons."""
-    groups = group_by(found, lambda pair: _horizon(pair[1]))
-    known = {step for _, evaluated in found for step in _steps(evaluated).items()}
-    if len(dict(known)) < len(known):
+    groups: dict[str, list[T]] = {}
+    horizons: dict[str, set[int]] = {}  # by task
+    for item in items:
+        how = entry_of(item).evaluated
+        steps = {task: get_task(task).resolve_horizon(how.horizon) for task in how.by_task}
+        for task, number in steps.items():
+            horizons.setdefault(task, set()).add(number)
+        # The same words for the same numbers of control steps on the same tasks.
+        words = str(*set(steps.values())) if len(set(steps.values())) == 1 else PUBLISHED
+        groups.setdefault(APPENDIX if how.horizon_name == APPENDIX else words, []).append(item)
+    if any(len(numbers) > 1 for numbers in horizons.values()):
         return groups
-    return {" and ".join(name for name in groups if name != APPENDIX) or APPENDIX: found}
-
-
-def _steps(evaluated: Evaluated) -> dict[str, int]:
-    """The number of control steps on each task."""
-    tasks = {env_id.task: env_id.task_spec for env_id in evaluated.env_ids}
-    return {name: task.resolve_horizon(evaluated.horizon) for name, task in tasks.items()}
-
-
-def _horizon(evaluated: Evaluated) -> str:
-    """The horizon in words: the same for the same numbers of steps on the same tasks."""
-    steps = set(_steps(evaluated).values())
-    same = evaluated.horizon_name == APPENDIX
-    return APPENDIX if same else str(steps.pop()) if len(steps) == 1 else PUBLISHED
+    return {" and ".join(name for name in groups if name != APPENDIX) or APPENDIX: [*items]}
 
 
 def _differences(settings: Mapping[str, Any], others: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -203,11 +240,11 @@ def same_run(result: Result, others: Iterable[Result]) -> Result | None:
     are of one run, whatever the seeds. Otherwise what is known of the training decides: runs that
     fail alike are not one run.
     """
-    own = {(row.env_id, row.rollout): row for row in result.entry.scores}
+    entry = result.entry
+    own = {(row.env_id, row.rollout): row for row in entry.scores}
     for other in others:
-        same = result.entry.method == other.entry.method and set(result.tasks) & set(other.tasks)
-        alike = same and _equal_and_telling(own, other.entry.scores)
-        if same and (alike or _same_training(result, other)):
+        same = entry.method == other.entry.method and set(entry.tasks) & set(other.entry.tasks)
+        if same and (_equal_and_telling(own, other.entry.scores) or _same_training(result, other)):
             return other
     return None
 
@@ -241,96 +278,13 @@ def _same_training(result: Result, other: Result) -> bool:
         return False
     if result.run and other.run and result.run.resolve() == other.run.resolve():
         return True
-    if any(
-        one and two and one != two for one, two in zip(_made(result), _made(other), strict=True)
-    ):
+    if any(a and b and a != b for a, b in zip(_made(result), _made(other), strict=True)):
         return False
-    return None not in seeds or _named_policy(result) == _named_policy(other) in BUILT_IN
+    return None not in seeds or _made(result)[-1] == _made(other)[-1] in BUILT_IN
 
 
 def _made(result: Result) -> tuple[Any, ...]:
+    """What an entry states of its making; last the policy, unless it is a run folder."""
     record = result.entry.record
-    stated = record.demonstrations, record.num_demos, record.pretrained_on
-    return (*stated, result.config, _named_policy(result))
-
-
-def _named_policy(result: Result) -> str:
-    """The policy that an entry states, if it is not a run folder, whose path says nothing."""
-    record = result.entry.record
-    return "" if record.algorithm or is_run(result.folder / record.policy) else record.policy
-
-
-def _time(result: Result) -> float:
-    """When a result was evaluated: its entry's date, or when the file was written; a POSIX time."""
-    with suppress(ValueError, OverflowError, OSError):
-        return datetime.fromisoformat(result.entry.record.date).timestamp()
-    folders = (result.folder, *result.folder.parents)  # an entry of a collection has no folder
-    files = (folder / name for folder in folders for name in (ENTRY_FILE, ENTRIES_FILE))
-    return next((file.stat().st_mtime for file in files if file.is_file()), 0.0)
-
-
-def _places(root: Path) -> Iterator[Path]:
-    """A folder, even if missing, and all folders below it, sorted, parents before children."""
-    yield root
-    for path, names, _ in os.walk(root):
-        names[:] = sorted(name for name in names if not name.startswith("."))
-        if Path(path) != root:
-            yield Path(path)
-
-
-def _entries(place: Path) -> Iterator[tuple[Path, Entry | Exception]]:
-    """Every entry in a folder, or why it cannot be read."""
-    if (place / ENTRIES_FILE).exists():
-        try:
-            for name, entry in read_collection(place).items():
-                yield place / name, entry
-        except ScoresError as error:
-            yield place, error
-    if (place / SCORES_FILE).exists() or (place / ENTRY_FILE).exists():
-        yield place, _read_entry(place)
-
-
-def _read_entry(place: Path) -> Entry | Exception:
-    try:
-        return read_entry(place)
-    except (ScoresError, OSError) as error:
-        return error
-
-
-def _run_of(place: Path, entry: Entry, root: Path) -> Path | None:
-    """The run folder of an entry: the one that it states, else its own, else one above it."""
-    if entry.record.policy in policy_names():
-        return None
-    above = [folder for folder in (place, *place.parents) if folder.is_relative_to(root)]
-    stated = place / entry.record.policy
-    return next((folder for folder in (stated, *above) if is_run(folder)), None)
-
-
-def _is_planned(place: Path, root: Path, listed: Callable[[Path], Listing]) -> bool:
-    """Whether a folder is not of a plan's run or reference policy, or the plan still lists it."""
-    for folder in (place, *place.parents):
-        if folder == root:
-            break
-        results = folder.parent.parent
-        if folder.parent.name == RUNS and (results / PLAN).is_file():
-            runs = listed(results).runs
-            return not runs or any(folder.name == run.folder for run in runs)
-        if folder.parent.name == REFERENCES:
-            references = listed(results).references
-            return references is None or folder.name in references
-    return True
-
-
-def _listing(results: Path) -> Listing:
-    """What a results folder lists; nothing if the file is damaged."""
-    with suppress(ResultsError):
-        return read_listing(results)
-    return Listing()
-
-
-def _read(path: Path) -> dict[str, Any]:
-    """A JSON object; empty if the file is missing or damaged."""
-    try:
-        return read_json(path)
-    except RunFolderError:
-        return {}
+    policy = "" if record.algorithm or is_run(result.folder / record.policy) else record.policy
+    return record.demonstrations, record.num_demos, record.pretrained_on, result.config, policy

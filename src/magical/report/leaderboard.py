@@ -1,10 +1,11 @@
 """A leaderboard of evaluated entries as static pages: checks, ranks, pages (docs/protocol.md)."""
 
 import shutil
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from operator import attrgetter
 from pathlib import Path
+from typing import Any, NamedTuple
 
 from magical import __version__
 from magical.errors import MagicalError, ScoresError, SiteError, UnknownNameError
@@ -14,17 +15,8 @@ from magical.evaluation.protocol import NUDGE, ROLLOUTS, SEED
 from magical.evaluation.statistics import ROUNDING, Interval
 from magical.grouping import group_by
 from magical.observe import parse_spec
+from magical.report import table
 from magical.report.found import Found, Result, same_run, search_results
-from magical.report.page import render_template, write_page, write_text
-from magical.report.table import (
-    Statements,
-    compared_methods,
-    gather_statements,
-    interval_text,
-    matching_methods,
-    rows_of,
-    with_conditions,
-)
 from magical.runs import BENCHMARK_PRIOR, EXTRA_DATA, SOURCES, TRACKS, file_name, track_of
 from magical.tasks import TASKS, get_task, suites
 from magical.tasks.axes import DEMO, TEST_ALL, short_variant
@@ -40,8 +32,7 @@ METHODS = "methods"  # folder of the site
 MARK = b"<h1>MAGICAL leaderboard</h1>"  # in the index page
 
 
-@dataclass(frozen=True, slots=True)
-class Rejected:
+class Rejected(NamedTuple):
     """An entry that is not ranked, and why."""
 
     folder: str
@@ -59,19 +50,29 @@ def check_entries(found: Found) -> tuple[list[Result], list[Rejected]]:
     """The entries that can be ranked, and the others with the reasons why not."""
     rejected = [Rejected(str(item.folder), "", [item.reason]) for item in found.skipped]
     accepted: list[Result] = []
-    candidates = []
+    conflicts: list[Rejected] = []
     for result in found.results:
-        if reasons := [*faults(result.entry), *_misobserved(result)]:
-            rejected.append(Rejected(str(result.folder), result.entry.method, reasons))
-        else:
-            candidates.append(result)
-    for result in candidates:
-        runs = [run for run in accepted if run.entry.method == result.entry.method]
-        if reason := _conflict(result, runs):
-            rejected.append(Rejected(str(result.folder), result.entry.method, [reason]))
+        folder, method = str(result.folder), result.entry.method
+        runs = [run for run in accepted if run.entry.method == method]
+        reasons = faults(result.entry)
+        trained, stated = result.config.get("observation"), result.entry.observation
+        if trained not in (None, stated):
+            shown = stated or "(not stated)"
+            reasons.append(f"observation {shown}, but its run was trained on {trained}")
+        if reasons:
+            rejected.append(Rejected(folder, method, reasons))
+        elif other := same_run(result, runs):
+            reason = (
+                f"the same run as {other.folder}, judging by its scores or its training_seed: each "
+                "run counts only once"
+            )
+            conflicts.append(Rejected(folder, method, [reason]))
+        # All accepted runs of a method agree, so the first one is enough.
+        elif runs and (reason := mismatch(result.entry, runs[0])):
+            conflicts.append(Rejected(folder, method, [reason]))
         else:
             accepted.append(result)
-    return accepted, rejected
+    return accepted, rejected + conflicts
 
 
 def faults(entry: Entry) -> list[str]:
@@ -107,39 +108,13 @@ def incompleteness(entry: Entry) -> Iterator[str]:
             yield f"{task} without {', '.join(absent)}: all variants of a task are needed"
     if done := entry.record.unfinished:
         yield f"its training run is unfinished ({done}): train it to its end and evaluate again"
-    if _series(entry.version) != _series(__version__):
+    # Nothing that scores depend on changed between 0.1 and 1.0.
+    series = "1" if entry.version.startswith("0.1.") else entry.version.partition(".")[0]
+    if series != __version__.partition(".")[0]:
         yield (
             f"made by version {entry.version or '(not stated)'} of this package, this is "
             f"{__version__}: scores may differ; evaluate again"
         )
-
-
-def _series(version: str) -> str:
-    """The part of a version that scores depend on: its first number, before 1.0 its first two.
-
-    Version 0.1 counts as 1: nothing that scores depend on changed between 0.1 and 1.0.
-    """
-    first, second, *_ = [*version.split("."), ""]
-    series = f"{first}.{second}" if first == "0" else first
-    return "1" if series == "0.1" else series
-
-
-def _misobserved(result: Result) -> Iterator[str]:
-    """A contradiction between the observation that an entry states and that of its run."""
-    trained, stated = result.config.get("observation"), result.entry.observation
-    if trained is not None and trained != stated:
-        yield f"observation {stated or '(not stated)'}, but its run was trained on {trained}"
-
-
-def _conflict(result: Result, accepted: Sequence[Result]) -> str:
-    """Why a result cannot be a run of its method, given those accepted before; empty if it can."""
-    if other := same_run(result, accepted):
-        return (
-            f"the same run as {other.folder}, judging by its scores or its training_seed: each run "
-            "counts only once"
-        )
-    # All accepted runs of a method agree, so the first one is enough.
-    return mismatch(result.entry, accepted[0]) if accepted else ""
 
 
 def mismatch(entry: Entry, other: Result) -> str:
@@ -177,7 +152,7 @@ class Standing:
     gap: Interval  # Demo's mean minus TestAll's
     runs_apart: str  # the runs' means on TestAll where a few of them differ much
     used: tuple[str, ...]  # sources of learning, and `STATE`
-    statements: Statements
+    statements: table.Statements
     runs: int  # the fewest on any of the board's tasks
     rank: int = 0  # by TestAll, 1 for the highest; the same for equal scores
     gap_rank: int = 0  # by the gap, 1 for the lowest
@@ -210,8 +185,7 @@ class Standing:
         return str(self.gap_rank) if self.is_ranked else "–"
 
 
-@dataclass(frozen=True, slots=True)
-class Board:
+class Board(NamedTuple):
     """The standings on the tasks of a suite, or on one task, by TestAll."""
 
     name: str
@@ -224,59 +198,58 @@ def make_boards(results: Sequence[Result]) -> list[Board]:
     A board ranks the methods that have all of its tasks. Each board is followed by one for methods
     with a benchmark prior. Empty boards are left out, except the first.
     """
-    methods = group_by(results, attrgetter("entry.method")).values()
-
-    def boards(name: str, tasks: Collection[str], demos: int | None = None) -> list[Board]:
-        groups = ([r for r in runs if not set(tasks).isdisjoint(r.tasks)] for runs in methods)
-        runs_of = (runs for runs in groups if runs and (demos is None or _is_from(demos, runs)))
-        found = [standing for runs in runs_of if (standing := _standing(runs, tasks))]
+    methods = group_by((result.entry for result in results), attrgetter("method")).values()
+    suites_of = {ALL_TASKS: published_tasks(), HELD_OUT_TASKS: suites().get(HELD_OUT_TASKS, ())}
+    boards = []
+    for name, tasks in {**suites_of, **{task: (task,) for task in TASKS}}.items():
+        found = []
+        for entries in methods:
+            runs = [run for run in entries if not set(tasks).isdisjoint(run.tasks)]
+            # The held-out board is of ten demonstrations of each task alone, as far as stated.
+            if name != HELD_OUT_TASKS or not any(map(_learned_from_more, runs)):
+                found += _standing(runs, tasks)
         prior = [row for row in found if BENCHMARK_PRIOR in row.used]
-        others = [row for row in found if row not in prior]
-        return [Board(name, _ranked(others)), Board(name + WITH_PRIOR, _ranked(prior))]
-
-    first, *rest = boards(ALL_TASKS, published_tasks())
-    rest += boards(HELD_OUT_TASKS, suites().get(HELD_OUT_TASKS, ()), DEMOS)
-    for task in TASKS:
-        rest += boards(task, [task])
-    return [first, *(board for board in rest if board.standings)]
+        boards.append(Board(name, _ranked([row for row in found if row not in prior])))
+        boards.append(Board(name + WITH_PRIOR, _ranked(prior)))
+    return [board for board in boards if board.standings or board is boards[0]]
 
 
-def _is_from(num_demos: int, runs: Sequence[Result]) -> bool:
-    """Whether runs learned from so many demonstrations of each task alone, as far as stated."""
-    records = [run.entry.record for run in runs]
-    numbers = {record.num_demos for record in records}
-    more = any(r.pretrained_on or EXTRA_DATA in (r.learned_from or ()) for r in records)
-    return numbers <= {num_demos, None} and not more
+def _learned_from_more(run: Entry) -> bool:
+    record = run.record
+    more = record.pretrained_on or EXTRA_DATA in _used(run)
+    return bool(more) or record.num_demos not in (DEMOS, None)
 
 
-def _standing(results: Sequence[Result], tasks: Collection[str]) -> Standing | None:
-    """A method's standing on these tasks, not ranked yet; `None` if it lacks any of them."""
-    entries = [result.entry for result in results]
+def _standing(entries: Sequence[Entry], tasks: Collection[str]) -> list[Standing]:
+    """A method's standing on these tasks, not ranked yet; empty if it lacks any of them."""
     runs = [replace(e, evaluated=replace(e.evaluated, nudge=0.0)) for e in entries]
-    methods = compared_methods(rows_of(runs))
+    methods = table.compared_methods(table.rows_of(runs))
     env_ids = [env_id for env_id in methods[0].env_ids if env_id.task in tasks] if methods else []
-    if not {env_id.task for env_id in env_ids} >= set(tasks):
-        return None
+    if not env_ids or not {env_id.task for env_id in env_ids} >= set(tasks):
+        return []
     (method,) = methods
-    method, entry = method.on(env_ids), runs[0]
+    method = method.on(env_ids)
     demo, test_all = (
         method.on([env_id for env_id in env_ids if env_id.variant == variant])
         for variant in (DEMO, TEST_ALL)
     )
     gap = method.gap()
     assert gap is not None  # entries with all variants have Demo and TestAll
-    return Standing(
-        method=entry.method,
-        label=with_conditions(entry.method, runs),
-        unit=method.unit,
-        test_all=test_all.mean(),
-        demo=demo.mean(),
-        gap=gap,
-        runs_apart=test_all.apart(),
-        used=_used(entry) + (STATE,) * entry.evaluated.privileged,  # the same in all runs
-        statements=gather_statements(runs),
-        runs=method.fewest_runs,
-    )
+    return [
+        Standing(
+            method=runs[0].method,
+            label=table.with_conditions(runs[0].method, runs),
+            unit=method.unit,
+            test_all=test_all.mean(),
+            demo=demo.mean(),
+            gap=gap,
+            runs_apart=test_all.apart(),
+            # The same in all runs.
+            used=_used(runs[0]) + (STATE,) * runs[0].evaluated.privileged,
+            statements=table.gather_statements(runs),
+            runs=method.fewest_runs,
+        )
+    ]
 
 
 def _ranked(standings: Sequence[Standing]) -> list[Standing]:
@@ -285,25 +258,20 @@ def _ranked(standings: Sequence[Standing]) -> list[Standing]:
     References get the rank that they would have, but do not affect the ranks of others. Nor do
     methods of too few runs, which come last.
     """
+    ranked = [row for row in standings if row.is_ranked]
     few = [row for row in standings if not (row.is_ranked or row.is_reference)]
-    first = [row for row in standings if row not in few]
-    ranked = [row for row in first if row.is_ranked]
-    return [*_with_ranks(first, ranked), *_with_ranks(few, few)]
+    placed = []
+    for row in standings:
+        others = few if row in few else ranked
+        better = [o for o in others if o.test_all.value > row.test_all.value + ROUNDING]
+        closer = [o for o in others if o.gap.value < row.gap.value - ROUNDING]
+        placed.append(replace(row, rank=1 + len(better), gap_rank=1 + len(closer)))
 
+    def order(row: Standing) -> tuple[Any, ...]:
+        is_few = not (row.is_ranked or row.is_reference)
+        return is_few, row.rank, not row.is_reference, row.gap_rank, row.method
 
-def _with_ranks(rows: Sequence[Standing], others: Sequence[Standing]) -> list[Standing]:
-    def rank(row: Standing, key: Callable[[Standing], float]) -> int:
-        return 1 + sum(key(other) < key(row) - ROUNDING for other in others)
-
-    placed = [
-        replace(
-            row,
-            rank=rank(row, lambda other: -other.test_all.value),
-            gap_rank=rank(row, lambda other: other.gap.value),
-        )
-        for row in rows
-    ]
-    return sorted(placed, key=lambda r: (r.rank, not r.is_reference, r.gap_rank, r.method))
+    return sorted(placed, key=order)
 
 
 @dataclass(frozen=True, slots=True)
@@ -322,23 +290,22 @@ class Leaderboard:
             SiteError: the index page or `methods` exists but is not a leaderboard's.
         """
         index, folder = site / "index.html", site / METHODS
-        if (index.exists() or folder.exists()) and not (
-            index.exists() and MARK in index.read_bytes()
-        ):
+        ours = index.exists() and MARK in index.read_bytes()
+        if not ours and (index.exists() or folder.exists()):
             raise SiteError(f"{site}: expected no pages or a leaderboard's; choose another folder")
         shutil.rmtree(folder, ignore_errors=True)
         pages = {}
         groups = group_by(self.accepted, attrgetter("entry.method"))
         for number, (method, results) in enumerate(groups.items(), 1):
             pages[method] = f"{METHODS}/{number:03d}-{file_name(method)}.html"
-            published = matching_methods(result.entry for result in results)
-            write_page(site / pages[method], method, Found(results), published)
+            published = table.matching_methods(result.entry for result in results)
+            table.write_page(site / pages[method], method, Found(results), published)
         used = {name for board in self.boards for row in board.standings for name in row.used}
         filters = {**SOURCES, STATE: "the true state instead of an observation"}
-        html = render_template(
+        html = table.render_template(
             "leaderboard.html.j2",
             board=self,
-            interval_text=interval_text,
+            interval_text=table.interval_text,
             unranked=by_reasons(self.rejected),
             tracks={name: SOURCES[source] for name, source in TRACKS.items()},
             pages=pages,
@@ -347,7 +314,7 @@ class Leaderboard:
             nudge=f"{NUDGE:g}",
             version=__version__,
         )
-        write_text(index, html)
+        table.write_text(index, html)
 
 
 def make_leaderboard(folders: Iterable[Path | str], rerun: Iterable[str] = ()) -> Leaderboard:

@@ -1,51 +1,38 @@
-"""The table behind all reports, and what is read from it: cells, differences, means.
+"""The table behind all reports, and the formats made from it: HTML, Markdown, CSV, plain data.
 
-`tabulate` makes a record (method, task, variant, run, rule, score) of each run's mean score in an
-environment. The score tables of a page, the rows of a CSV file and the leaderboard are made of it.
+`Rows.scores` is the table: a record (method, task, variant, rule, run, score) of each run's mean
+score in an environment. The score tables of a page, the rows of a CSV file and the leaderboard are
+made of it.
 """
 
+import csv
+import io
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from magical import __version__
 from magical.envs import EnvId
-from magical.evaluation import (
-    Entry,
-    by_variant,
-    difference_from_published,
-    published_methods,
-    published_score,
-    published_tasks,
-)
-from magical.evaluation.published import PUBLISHED_RUNS
-from magical.evaluation.statistics import (
-    FEWEST_RUNS,
-    RULES,
-    Floats,
-    Interval,
-    OverRollouts,
-    difference,
-    gap_weights,
-    generalisation_gap,
-    interquartile_mean,
-    mean,
-    over_rollouts,
-    over_runs,
-    rollout_mean,
-    weighted_sum,
-)
+from magical.errors import UnknownNameError
+from magical.evaluation import Entry, by_variant, statistics
+from magical.evaluation import published as paper
+from magical.evaluation.statistics import FEWEST_RUNS, Floats, Interval, OverRollouts
+from magical.files import write_atomically
 from magical.grouping import group_by
 from magical.messages import decimals
-from magical.report.found import by_row
+from magical.report.figures import LoadPolicy, curves_by_task, interval_plot, record_reels
+from magical.report.found import Found, by_row
 from magical.runs import track_of
 from magical.tasks import Task, get_task
-from magical.tasks.axes import SHORT_VARIANTS, full_variant, short_variant
+from magical.tasks.axes import CHANGED, SHORT_VARIANTS, full_variant, short_variant
 
-RULE, PUBLISHED_RULE = RULES
+RULE, PUBLISHED_RULE = statistics.RULES
 APART, FEW = 0.5, 5  # at most FEW runs whose means are more than APART apart are listed singly
 MARKS = (
     " After a method's name, † says that test variants were evaluated while it was designed, and "
@@ -66,7 +53,14 @@ INTERVALS = (
     "do not differ, they are over rollouts, and do not include the spread between training runs. "
     "The interquartile mean has no interval then."
 )
+GAPS = (
+    "The mean score on Demo minus that on the variant, by task, averaged over the tasks that have "
+    "the variant: the larger, the worse the method generalises along that axis. Intervals as above."
+)
+ABSENT = "–"  # in a cell
 SHOWN = 6  # environments named in a note
+DIGITS = 6  # significant, in CSV
+SUFFIXES = {".html": "html", ".csv": "csv", ".md": "markdown"}
 
 
 class Score(NamedTuple):
@@ -75,8 +69,8 @@ class Score(NamedTuple):
     method: str  # the label of the row
     task: str
     variant: str  # short
-    run: int  # number of the run in its row
     rule: str
+    run: int  # number of the run in its row
     score: float
     rollouts: Sequence[float]
 
@@ -85,32 +79,28 @@ class Rows(dict[str, list[Entry]]):
     """The runs of each row of tables, by its label, and the table of their scores."""
 
     @cached_property
-    def scores(self) -> Mapping[tuple[str, str, str, str], list[Score]]:
+    def scores(self) -> Mapping[tuple[str, ...], list[Score]]:
         """The scores of each method, task, variant and rule, in the order of the runs."""
-        return group_by(tabulate(self), lambda score: (*score[:3], score.rule))
+        table = (
+            Score(label, task, variant, rule, run, float(np.mean(values)), values)
+            for label, entries in self.items()
+            for run, entry in enumerate(entries)
+            for task, cells in by_variant(entry.scores).items()
+            for variant, cell in cells.items()
+            for rule in (RULE, PUBLISHED_RULE)
+            for values in [[getattr(row, rule) for row in cell]]
+        )
+        return group_by(table, lambda score: score[:4])
 
     @property
     def tasks(self) -> tuple[str, ...]:
         """The tasks on which any run has scores, in order of first appearance."""
-        return tuple(dict.fromkeys(score[1] for score in self.scores))
+        return tuple(dict.fromkeys(task for _, task, *_ in self.scores))
 
-    def on(self, task: str) -> "Rows":
-        """The rows with a task, each with the runs that have it."""
+    def on(self, task: str) -> dict[str, list[Entry]]:
+        """The runs of each row that have a task."""
         runs = {label: [run for run in of if task in run.tasks] for label, of in self.items()}
-        return Rows({label: of for label, of in runs.items() if of})
-
-
-def tabulate(rows: Mapping[str, Sequence[Entry]]) -> list[Score]:
-    """A record of each run, environment and rule."""
-    return [
-        Score(label, task, variant, run, rule, float(np.mean(values)), values)
-        for label, entries in rows.items()
-        for run, entry in enumerate(entries)
-        for task, cells in by_variant(entry.scores).items()
-        for variant, cell in cells.items()
-        for rule in RULES
-        for values in [[getattr(row, rule) for row in cell]]
-    ]
+        return {label: of for label, of in runs.items() if of}
 
 
 def rows_of(entries: Iterable[Entry]) -> Rows:
@@ -165,8 +155,7 @@ def track(runs: Sequence[Entry]) -> str:
     return track_of(name for names in stated for name in names or ())
 
 
-@dataclass(frozen=True, slots=True)
-class Cell:
+class Cell(NamedTuple):
     """A mean score with its uncertainty."""
 
     mean: float
@@ -175,225 +164,211 @@ class Cell:
     are_apart: bool = False  # few runs, some of which fail; `detail` lists them
 
     @property
-    def text(self) -> str:
+    def lines(self) -> list[str]:
+        """The mean, its uncertainty, the difference from the published mean and its interval."""
+        more = [] if self.difference is None else signed(self.difference).split(" ", 1)
+        return [decimals(self.mean), self.detail, *more]
+
+    def __str__(self) -> str:
         """Text such as `0.88 ± 0.10 (−0.01)`, with the difference from the published mean."""
-        beside = f" ({self.beside[0]})" if self.beside else ""
-        return f"{decimals(self.mean)} {self.detail}{beside}"
-
-    @property
-    def beside(self) -> list[str]:
-        """The difference from the published mean, then its interval, as far as there are any."""
-        return [] if self.difference is None else signed(self.difference).split(" ", 1)
+        value, detail, *more = self.lines
+        return f"{value} {detail}" + (f" ({more[0]})" if more else "")
 
 
-@dataclass(frozen=True, slots=True)
-class Row:
-    """One method's scores on one task, by short variant name."""
+class Table(NamedTuple):
+    """A table with a heading and a note on how to read it.
 
-    label: str
-    cells: Mapping[str, Cell]
-    note: str  # how to read the details
-
-
-@dataclass(frozen=True, slots=True)
-class TextTable:
-    """A plain-text table with a heading and a note on how to read it."""
+    Attributes:
+        rows: each begins with its label; `ABSENT` stands where nothing was evaluated.
+        row_notes: how to read the details of each row's cells, shown on pages.
+        published: whether published rows are shown, and all scored by their rule.
+    """
 
     title: str
-    header: tuple[str, ...]
-    rows: Sequence[tuple[str, ...]]
+    header: Sequence[str]
+    rows: Sequence[Sequence[str | Cell]]
     note: str = ""
+    row_notes: Sequence[str] = ()
+    published: bool = False
+
+    @property
+    def texts(self) -> list[list[str]]:
+        """The rows as plain text."""
+        return [list(map(str, row)) for row in self.rows]
 
 
-@dataclass(frozen=True, slots=True)
-class ScoreTable:
-    """All methods' scores on one task."""
-
-    task: str
-    variants: tuple[str, ...]  # short names
-    rows: tuple[Row, ...]
-    note: str  # scoring rule, horizon, and what intervals are over
-    published: bool = False  # scored by the published code's rule, with published rows
-
-    def as_text(self) -> TextTable:
-        """The table as plain text, without colours and row notes."""
-        title = self.task + ", beside the published scores" * self.published
-        cells = [[row.cells.get(variant) for variant in self.variants] for row in self.rows]
-        texts = [[cell.text if cell else "–" for cell in line] for line in cells]
-        rows = [(row.label, *line) for row, line in zip(self.rows, texts, strict=True)]
-        return TextTable(title, (self.task, *self.variants), rows, self.note)
-
-
-def score_tables(rows: Rows, published: Sequence[str] = ()) -> list[ScoreTable]:
+def score_tables(rows: Rows, published: Sequence[str] = ()) -> list[Table]:
     """The tables of every task: by the appendix's rule, and by the published one if comparable.
 
-    If the two rules and horizons are the same, one table shows both.
+    `published` are methods whose published rows are shown below. With them, all scores follow the
+    published code's rule, and only rows with its horizon are shown. If a method has no such row,
+    the published rows are left out, and the note says so. If the two rules and horizons are the
+    same, one table shows both.
     """
     tables = []
-    for name in rows.tasks:
-        beside, task = task_table(name, rows, published), get_task(name)
-        all_shown = all(is_comparable(task, run) for runs in rows.on(name).values() for run in runs)
-        if beside.published and (_rules_differ(task) or not all_shown):
-            tables.append(task_table(name, rows))
-        tables.append(beside)
+    for task in map(get_task, rows.tasks):
+        on_task = rows.on(task.name)  # all runs of a row have the same horizon
+        methods = published if task.name in paper.published_tasks() else ()
+        same = {label: runs for label, runs in on_task.items() if is_comparable(task, runs[0])}
+        names = {runs[0].method for runs in same.values()}
+        others = {_horizon(task, r[0]) for r in on_task.values() if r[0].method not in names}
+        beside = bool(methods) and not others
+        if not beside or _rules_differ(task) or len(same) < len(on_task):
+            note = _rule_note(task, on_task, sorted(others) if methods else ())
+            tables.append(_score_table(task, rows, on_task, note))
+        if beside:
+            tables.append(_score_table(task, rows, same, _published_note(task), methods))
     return tables
 
 
-def task_table(name: str, rows: Rows, published: Sequence[str] = ()) -> ScoreTable:
-    """A row for each method on a task, then the published rows of the named methods.
-
-    With published rows, all scores follow the published code's rule, and only rows with the
-    published code's horizon are shown. If a method has no such row, the published rows are left
-    out, and the note says so.
-    """
-    task, table = get_task(name), rows.scores
-    rows = rows.on(name)
-    methods = tuple(published) if name in published_tasks() else ()
-    theirs = counterparts(rows, methods)
-    first = [runs[0] for runs in rows.values()]  # all runs of a row have the same horizon
-    comparable = {entry.method for entry in first if is_comparable(task, entry)}
-    other = sorted({horizon_of(task, run) for run in first if run.method not in comparable})
-    compared = bool(methods) and not other
-    made = [
-        _row(task, label, runs, table, theirs if compared else None)
-        for label, runs in rows.items()
-        if not compared or is_comparable(task, runs[0])
-    ]
-    if compared:
-        spread = f"mean ± std over {PUBLISHED_RUNS} runs"
-        for method in methods:
-            found = {v: published_score(name, method, v) for v in SHORT_VARIANTS}
-            theirs_cells = {v: Cell(s.mean, f"± {s.std:.2f}") for v, s in found.items() if s}
-            made.append(Row(f"{method}, published", theirs_cells, spread))
-    kept = tuple(row for row in made if row.cells)
-    cells = [cell for row in kept for cell in row.cells.values()]
-    note = _rule_note(task, compared, rows)
-    note += _left_out_note(task, other) if methods and other else ""
-    note += BESIDE if any(cell.difference for cell in cells) else ""
-    note += ONE_RUN if any(len(runs) == 1 for runs in rows.values()) else ""
-    note += MARKS if any(marked("", runs) for runs in rows.values()) else ""
-    note += RUNS_APART if any(cell.are_apart for cell in cells) else ""
-    return ScoreTable(name, tuple(map(short_variant, task.variants)), kept, note, compared)
-
-
-def _row(
+def _score_table(
     task: Task,
-    label: str,
-    runs: Sequence[Entry],
-    table: Mapping[tuple[str, str, str, str], list[Score]],
-    theirs: Mapping[str, str] | None,
-) -> Row:
-    """A method's row, by the appendix's rule, or beside its published counterpart if given."""
-    rule = RULE if theirs is None else PUBLISHED_RULE
-    found = {v: table.get((label, task.name, v, rule), []) for v in SHORT_VARIANTS}
-    cells = {variant: _cell(scores, len(runs)) for variant, scores in found.items() if scores}
-    note = (
-        f"mean ± std over {len(runs)} runs" if len(runs) > 1 else "mean, 95% interval over rollouts"
-    )
-    method = (theirs or {}).get(runs[0].method)
-    if method and (changes := differences(task, runs, method)):
-        cells = {v: replace(cell, difference=changes.get(v)) for v, cell in cells.items()}
-        exact = ", except on Demo, which is nudged" * any(run.evaluated.nudge for run in runs)
-        note = f"{note}; difference from {method}{exact}"
-    return Row(marked(label, runs), cells, note)
+    rows: Rows,
+    shown: Mapping[str, Sequence[Entry]],
+    note: str,
+    published: Sequence[str] = (),
+) -> Table:
+    """A row for each method on a task, then the published rows of the named methods."""
+    variants, rule = list(map(short_variant, task.variants)), PUBLISHED_RULE if published else RULE
+    changes = differences(task.name, rows, published)
+    lines: list[list[str | Cell]] = []
+    row_notes = []
+
+    def add(label: str, cells: Mapping[str, Cell], row_note: str) -> None:
+        if cells:
+            lines.append([label, *(cells.get(variant, ABSENT) for variant in variants)])
+            row_notes.append(row_note)
+
+    for label, runs in shown.items():
+        several = f"mean ± std over {len(runs)} runs"
+        row_note = several if len(runs) > 1 else "mean, 95% interval over rollouts"
+        method, change = changes.get(label, ("", {}))
+        if change:
+            exact = ", except on Demo, which is nudged" * any(run.evaluated.nudge for run in runs)
+            row_note += f"; difference from {method}{exact}"
+        cells = {
+            variant: _cell(scores, len(runs), change.get(variant))
+            for variant in variants
+            if (scores := rows.scores.get((label, task.name, variant, rule)))
+        }
+        add(marked(label, runs), cells, row_note)
+    for method in published:
+        found = {variant: paper.published_score(task.name, method, variant) for variant in variants}
+        cells = {v: Cell(each.mean, f"± {each.std:.2f}") for v, each in found.items() if each}
+        add(f"{method}, published", cells, f"mean ± std over {paper.PUBLISHED_RUNS} runs")
+    every = [cell for line in lines for cell in line if isinstance(cell, Cell)]
+    note += BESIDE if any(cell.difference for cell in every) else ""
+    note += ONE_RUN if any(len(runs) == 1 for runs in shown.values()) else ""
+    note += MARKS if any(marked("", runs) for runs in shown.values()) else ""
+    note += RUNS_APART if any(cell.are_apart for cell in every) else ""
+    title = task.name + ", beside the published scores" * bool(published)
+    return Table(title, [task.name, *variants], lines, note, row_notes, bool(published))
 
 
-def _cell(runs: Sequence[Score], expected: int) -> Cell:
+def _cell(runs: Sequence[Score], expected: int, difference: Interval | None) -> Cell:
     """A cell from each run's score; says if fewer runs than expected have any."""
     few = "" if len(runs) == expected else f" ({len(runs)} of {expected} runs)"
-    if len(runs) > 1:
-        mean, std = over_runs([[run.score] for run in runs])
-        listed = means_apart([run.score for run in runs])
-        return Cell(mean, f"± {std:.2f}{listed}{few}", are_apart=bool(listed))
-    value, low, high = rollout_mean(runs[0].rollouts)
-    return Cell(value, f"[{low:.2f}, {high:.2f}]{few}")
+    if len(runs) == 1:
+        value, low, high = statistics.rollout_mean(runs[0].rollouts)
+        return Cell(value, f"[{low:.2f}, {high:.2f}]{few}", difference)
+    scores = [run.score for run in runs]
+    value, std = statistics.over_runs([[score] for score in scores])
+    listed = means_apart(scores)
+    return Cell(value, f"± {std:.2f}{listed}{few}", difference, are_apart=bool(listed))
 
 
-def _rule_note(task: Task, published: bool, rows: Rows) -> str:
-    """The scoring rule, and the rows whose horizon differs from the rule's."""
-    if published and not _rules_differ(task):
+def _published_note(task: Task) -> str:
+    """The scoring rule beside published rows."""
+    if not _rules_differ(task):
         return "On this task, the published code's rule and horizon are the same as the appendix's."
-    if published:
-        horizon = f", whose horizon is {task.published_horizon} control steps"
-        return (
-            "All rows are scored by the published code's rule, as the published ones are"
-            f"{horizon * task.has_two_horizons}."
-        )
-    steps = {label: horizon_of(task, runs[0]) for label, runs in rows.items()}
-    other = [f"{label} ({number})" for label, number in steps.items() if number != task.horizon]
-    if not other:
-        return "Scored by the appendix's rule."
-    return (
-        "Scored by the appendix's rule. Evaluated with another horizon than the appendix's "
-        f"{task.horizon} control steps: {'; '.join(other)}."
-    )
+    rule = "All rows are scored by the published code's rule, as the published ones are"
+    steps = f", whose horizon is {task.published_horizon} control steps"
+    return f"{rule}{steps * task.has_two_horizons}."
+
+
+def _rule_note(task: Task, rows: Mapping[str, Sequence[Entry]], left_out: Sequence[int]) -> str:
+    """The appendix's rule, rows with another horizon, and why published rows are left out.
+
+    `left_out` are the horizons that differ from that of the published rows.
+    """
+    note = "Scored by the appendix's rule."
+    horizons = {label: _horizon(task, runs[0]) for label, runs in rows.items()}
+    if other := [f"{name} ({n})" for name, n in horizons.items() if n != task.horizon]:
+        note += " Evaluated with another horizon than the appendix's "
+        note += f"{task.horizon} control steps: {'; '.join(other)}."
+    if left_out:
+        theirs = task.resolve_horizon("published")
+        note += f" The published rows are left out: their horizon is {theirs} control steps, not "
+        asked = "published" if task.has_two_horizons else theirs
+        note += f"{' or '.join(map(str, left_out))}; evaluate with --horizon {asked} to compare."
+    return note
 
 
 def _rules_differ(task: Task) -> bool:
     return task.published_score_fn is not None or task.has_two_horizons
 
 
-def _left_out_note(task: Task, other: Sequence[int]) -> str:
-    """Why published rows are left out: the horizons that differ from theirs."""
-    steps = task.resolve_horizon("published")
-    asked = "published" if task.has_two_horizons else steps
-    return (
-        f" The published rows are left out: their horizon is {steps} control "
-        f"steps, not {' or '.join(map(str, other))}; evaluate with --horizon {asked} to compare."
-    )
-
-
-def horizon_of(task: Task, run: Entry) -> int:
-    """The horizon, in control steps, that a run was evaluated with on a task."""
+def _horizon(task: Task, run: Entry) -> int:
     return task.resolve_horizon(run.evaluated.horizon)
 
 
 def is_comparable(task: Task, run: Entry) -> bool:
     """Whether a run was evaluated with the horizon of the published rows of a task."""
-    return horizon_of(task, run) == task.resolve_horizon("published")
+    return _horizon(task, run) == task.resolve_horizon("published")
 
 
 def matching_methods(entries: Iterable[Entry]) -> tuple[str, ...]:
     """The methods of the published tables that have the name of an entry's method."""
     names = {entry.method for entry in entries}
-    return tuple(method for method in published_methods() if method in names)
+    return tuple(method for method in paper.published_methods() if method in names)
 
 
-def counterparts(rows: Rows, published: Sequence[str]) -> dict[str, str]:
-    """The published row that each method is compared with: the one of the same name.
+def differences(
+    name: str, rows: Rows, published: Sequence[str]
+) -> dict[str, tuple[str, dict[str, Interval]]]:
+    """The published row that each row of a task is compared with, and by how much they differ.
 
-    If no method has the name of a published row, and there is only one such row, all methods are
-    compared with that one.
+    By the row's label, the published method, and our mean minus its by short variant name, where
+    they can be compared. A method is compared with the published one of its name. If no method has
+    the name of one of `published`, and there is only one, all are compared with that one.
     """
-    names = [runs[0].method for runs in rows.values()]
-    same = {name: name for name in names if name in published}
-    return same or (dict.fromkeys(names, published[0]) if len(published) == 1 else {})
+    on_task = rows.on(name)
+    names = {label: runs[0].method for label, runs in on_task.items()}
+    published = published if name in paper.published_tasks() else ()
+    same = {label: method for label, method in names.items() if method in published}
+    theirs = same or (dict.fromkeys(names, published[0]) if len(published) == 1 else {})
+    return {
+        label: (m, _differences(get_task(name), on_task[label], m)) for label, m in theirs.items()
+    }
 
 
-def differences(task: Task, runs: Sequence[Entry], method: str) -> Mapping[str, Interval]:
-    """Our mean minus the published one, by short variant name, where they can be compared.
+def _differences(task: Task, runs: Sequence[Entry], method: str) -> dict[str, Interval]:
+    """As `differences`, of one row.
 
-    Runs that see the state cannot: all published rows see pixels. Demo scores of nudged runs
-    cannot: the published ones are for the exact scene (docs/determinism.md).
+    Runs that see the state cannot be compared: all published rows see pixels. Demo scores of nudged
+    runs cannot: the published ones are for the exact scene (docs/determinism.md).
     """
     if not all(is_comparable(task, run) and not run.evaluated.privileged for run in runs):
         return {}
-    table = group_by(
-        (s for s in tabulate({"": runs}) if s.rule == PUBLISHED_RULE and s.task == task.name),
-        lambda score: score.variant,
-    )
+    env_ids = [EnvId(task.name, variant) for variant in task.variants]
+    means = statistics.run_means([run.scores for run in runs], env_ids, PUBLISHED_RULE)
     nudged = any(run.evaluated.nudge for run in runs)
     found = {}
-    for variant, scores in table.items():
-        spread = published_score(task.name, method, variant)
-        if spread and len(scores) == len(runs) and not (nudged and variant == "Demo"):
-            found[variant] = difference_from_published([score.score for score in scores], spread)
+    for variant, column in zip(map(short_variant, task.variants), means.T, strict=True):
+        spread = paper.published_score(task.name, method, variant)
+        if spread and not np.isnan(column).any() and not (nudged and variant == "Demo"):
+            found[variant] = paper.difference_from_published(column, spread)
     return found
 
 
 @dataclass(frozen=True)
 class Method:
-    """One method's runs in some environments, and their mean scores by the appendix's rule."""
+    """One method's runs in some environments, and their mean scores by the appendix's rule.
+
+    Intervals are over runs. They are over rollouts (`OverRollouts`) if an environment has fewer
+    than `FEWEST_RUNS` runs, if the runs do not differ, or if a run is the only one with its set of
+    environments.
+    """
 
     name: str  # with its marks
     runs: Sequence[Entry]
@@ -402,18 +377,11 @@ class Method:
     @cached_property
     def means(self) -> Floats:
         """(runs, environments); NaN where a run was not evaluated."""
-        places = {(i.task, short_variant(i.variant)): n for n, i in enumerate(self.env_ids)}
-        means = np.full((len(self.runs), len(places)), np.nan)
-        for score in tabulate({"": self.runs}):
-            place = places.get((score.task, score.variant))
-            if place is not None and score.rule == RULE:
-                means[score.run, place] = score.score
-        return means
+        return statistics.run_means([run.scores for run in self.runs], self.env_ids)
 
     def on(self, env_ids: Sequence[EnvId]) -> "Method":
         """The same method on some of its environments, with the runs that have any of them."""
-        wanted = set(env_ids)
-        runs = [run for run in self.runs if not wanted.isdisjoint(run.evaluated.env_ids)]
+        runs = [run for run in self.runs if not set(env_ids).isdisjoint(run.evaluated.env_ids)]
         return Method(self.name, runs, env_ids)
 
     @property
@@ -430,45 +398,40 @@ class Method:
         return runs if fewest >= FEWEST_RUNS else f"rollouts of {runs}"
 
     def mean(self) -> Interval:
-        """The mean, with an interval over runs.
-
-        It is over rollouts (`OverRollouts`) if an environment has fewer than `FEWEST_RUNS` runs, if
-        the runs do not differ, or if a run is the only one with its set of environments.
-        """
-        return self._shown(mean(self.means)) or self._over_rollouts(self.equal_weights)
+        """The mean."""
+        return self._interval(statistics.mean(self.means), self.equal_weights)
 
     def gap(self, variant: str = "TestAll") -> Interval | None:
-        """The generalisation gap, as `mean`; `None` if no task has both Demo and the variant."""
+        """The generalisation gap; `None` if no task has both Demo and the variant."""
         try:
-            weights = gap_weights(self.env_ids, variant)
+            weights = statistics.gap_weights(self.env_ids, variant)
         except ValueError:
             return None
-        found = generalisation_gap(self.means, self.env_ids, variant)
-        return self._shown(found) or self._over_rollouts(weights)
+        found = statistics.generalisation_gap(self.means, self.env_ids, variant)
+        return self._interval(found, weights)
 
     def interquartile_mean(self) -> Interval:
         """The interquartile mean; without bounds where the interval would not be over runs."""
-        found = interquartile_mean(self.means)
-        return self._shown(found) or Interval(found.value, np.nan, np.nan)
+        found = statistics.interquartile_mean(self.means)
+        return found if self.fewest_runs >= FEWEST_RUNS else Interval(found.value, np.nan, np.nan)
 
     def difference(self, other: "Method") -> Interval:
         """This method's mean minus another's; over runs if both means are."""
         means = [self.mean(), other.mean()]
         if any(isinstance(each, OverRollouts) for each in means):
-            return OverRollouts(*weighted_sum(means, [1.0, -1.0]))
-        return difference(self.means, other.means)
+            return OverRollouts(*statistics.weighted_sum(means, [1.0, -1.0]))
+        return statistics.difference(self.means, other.means)
 
     @property
     def equal_weights(self) -> Floats:
         """(environments,): those of the mean."""
         return np.full(len(self.env_ids), 1 / len(self.env_ids))
 
-    def _shown(self, found: Interval) -> Interval | None:
-        """An interval over runs; `None` for too few runs, or if it has no bounds."""
-        return found if self.fewest_runs >= FEWEST_RUNS and not math.isnan(found.low) else None
-
-    def _over_rollouts(self, weights: Floats) -> OverRollouts:
-        return over_rollouts([run.scores for run in self.runs], self.env_ids, weights)
+    def _interval(self, over_runs: Interval, weights: Floats) -> Interval:
+        """The interval over runs, or over rollouts for too few runs, or if it has no bounds."""
+        if self.fewest_runs >= FEWEST_RUNS and not math.isnan(over_runs.low):
+            return over_runs
+        return statistics.over_rollouts([run.scores for run in self.runs], self.env_ids, weights)
 
     def apart(self, weights: Floats | None = None) -> str:
         """The means of runs on the same environments where a few differ much, with their tasks."""
@@ -477,13 +440,11 @@ class Method:
             self.means, lambda run: tuple(np.flatnonzero(~np.isnan(run) * weights).tolist())
         )
         texts = []
-        for places, runs in strata.items():
-            if not places:
-                continue
-            columns = list(places)
+        for columns in map(list, filter(None, strata)):
             share = weights[columns].clip(min=0.0).sum()
+            runs = strata[tuple(columns)]
             listed = means_apart([float(run[columns] @ weights[columns] / share) for run in runs])
-            tasks = ", ".join(dict.fromkeys(self.env_ids[place].task for place in columns))
+            tasks = ", ".join(dict.fromkeys(self.env_ids[column].task for column in columns))
             texts += [listed.replace("(", f"({tasks}: ") if len(strata) > 1 else listed]
         return "".join(texts)
 
@@ -503,13 +464,11 @@ def compared_methods(rows: Rows) -> list[Method]:
 
 def _environments(runs: Sequence[Entry]) -> list[EnvId]:
     """The environments that all of a method's runs on their task have, in order of appearance."""
-    found = [set(run.evaluated.env_ids) for run in runs]
     known = dict.fromkeys(env_id for run in runs for env_id in run.evaluated.env_ids)
-    tasks = {i.task: [ids for ids in found if i.task in {j.task for j in ids}] for i in known}
-    return [env_id for env_id in known if all(env_id in ids for ids in tasks[env_id.task])]
+    return [i for i in known if all(i in r.evaluated.env_ids for r in runs if i.task in r.tasks)]
 
 
-def summary_tables(rows: Rows) -> list[TextTable]:
+def summary_tables(rows: Rows) -> list[Table]:
     """The methods over all environments that they have in common, then their gaps, if any.
 
     All but the first are compared with the first; environments that are left out are named.
@@ -518,27 +477,18 @@ def summary_tables(rows: Rows) -> list[TextTable]:
     if not methods:
         return []
     first, *others = methods
-    header: tuple[str, ...] = (
-        "method",
-        "intervals over",
-        "mean",
-        "interquartile mean",
-        "generalisation gap",
-    )
-    lines: list[tuple[str, ...]] = [
-        (
-            method.name,
-            method.unit,
-            interval_text(method.mean(), method.unit) + method.apart(),
-            interval_text(method.interquartile_mean()),
-            gap_text(method),
-            *([interval_text(method.difference(first), method.unit)] if method in others else []),
-        )
-        for method in methods
-    ]
-    if others:
-        header = (*header, f"difference from {first.name}")
-        lines[0] = (*lines[0], "–")
+    header = ["method", "intervals over", "mean", "interquartile mean", "generalisation gap"]
+    header += [f"difference from {first.name}"] if others else []
+    lines = []
+    for method in methods:
+        text = interval_text(method.mean(), method.unit) + method.apart()
+        line = [method.name, method.unit, text]
+        line += [interval_text(method.interquartile_mean()), gap_text(method)]
+        if method is not first:
+            line.append(interval_text(method.difference(first), method.unit))
+        elif others:
+            line.append(ABSENT)
+        lines.append(line)
     count = len(first.env_ids)
     known = dict.fromkeys(
         i for runs in rows.values() for run in runs for i in run.evaluated.env_ids
@@ -550,25 +500,21 @@ def summary_tables(rows: Rows) -> list[TextTable]:
     note += f"{left}{', '.join(names[:SHOWN])}{more}." if names else ""
     note += f" {INTERVALS}{MARKS}"
     note += RUNS_APART if any(method.apart() for method in methods) else ""
-    tables = [TextTable("All environments", header, lines, note)]
-    axes = [full_variant(v) for v in SHORT_VARIANTS if v != "Demo"]
-    if axes := [axis for axis in axes if first.gap(axis) is not None]:
-        lines = [(method.name, *(gap_text(method, axis) for axis in axes)) for method in methods]
-        note = (
-            "The mean score on Demo minus that on the variant, by task, averaged over the tasks "
-            "that have the variant: the larger, the worse the method generalises along that axis. "
-            "Intervals as above."
-        )
-        header = ("method", *map(short_variant, axes))
-        tables.append(TextTable("Generalisation gaps", header, lines, note))
+    tables = [Table("All environments", header, lines, note)]
+    axes = [short for short in SHORT_VARIANTS[1:] if first.gap(full_variant(short)) is not None]
+    if axes:
+        lines = [[m.name, *(gap_text(m, full_variant(axis)) for axis in axes)] for m in methods]
+        tables.append(Table("Generalisation gaps", ["method", *axes], lines, GAPS))
     return tables
 
 
 def gap_text(method: Method, variant: str = "TestAll") -> str:
     """The generalisation gap, and those of runs where a few of them differ much."""
     if (gap := method.gap(variant)) is None:
-        return "–"
-    return interval_text(gap, method.unit) + method.apart(gap_weights(method.env_ids, variant))
+        return ABSENT
+    return interval_text(gap, method.unit) + method.apart(
+        statistics.gap_weights(method.env_ids, variant)
+    )
 
 
 def interval_text(interval: Interval, unit: str = "rollouts") -> str:
@@ -598,3 +544,159 @@ def means_apart(means: Sequence[float]) -> str:
     if len(means) > FEW or max(means) - min(means) <= APART:
         return ""
     return f" ({', '.join(f'{value:.2f}' for value in means)})"
+
+
+def format_of(path: Path) -> str:
+    """The format for a file's suffix, HTML if it has none; raises `UnknownNameError`."""
+    kind = SUFFIXES.get(path.suffix.lower() or ".html")
+    if kind is None:
+        raise UnknownNameError(f"{path}: expected the suffix {', '.join(SUFFIXES)}, or --format")
+    return kind
+
+
+def all_tables(rows: Rows, published: Sequence[str]) -> list[Table]:
+    """All tables of a page."""
+    return [*score_tables(rows, published), *summary_tables(rows)]
+
+
+def write_tables(kind: str, rows: Rows, published: Sequence[str], path: Path) -> None:
+    """Write the rows of `plain_rows` as `csv`, numbers to `DIGITS` digits, or all as `markdown`."""
+    if kind == "markdown":
+        write_text(path, "\n".join(map(markdown, all_tables(rows, published))))
+        return
+    text, lines = io.StringIO(), plain_rows(rows, published)
+    writer = csv.DictWriter(text, lines[0], lineterminator="\n")
+    writer.writeheader()
+    writer.writerows({name: _csv_text(value) for name, value in line.items()} for line in lines)
+    write_text(path, text.getvalue())
+
+
+def _csv_text(value: float | str | None) -> str:
+    if isinstance(value, str) and value.startswith(("=", "+", "-", "@", "\t", "\r")):
+        return f"'{value}"  # a name that a spreadsheet would take for a formula
+    if isinstance(value, float):
+        return f"{value:.{DIGITS}g}"
+    return "" if value is None else str(value)
+
+
+def markdown(table: Table) -> str:
+    """A table in Markdown, with its heading and note."""
+
+    def escaped(text: str) -> str:
+        return re.sub(r"([\\|`*_<>\[\]])", r"\\\1", text)
+
+    rows = [table.header, ["---"] * len(table.header), *table.texts]
+    lines = [f"| {' | '.join(map(escaped, row))} |" for row in rows]
+    return "\n".join([f"## {escaped(table.title)}", "", *lines, "", escaped(table.note), ""])
+
+
+def plain_rows(rows: Rows, published: Sequence[str]) -> list[dict[str, Any]]:
+    """A row for each method and environment, as plain data; `None` for missing values.
+
+    `score` and its interval follow the appendix's rule, `published_code_score` and the difference
+    follow the published code's. The last columns say how the environment was evaluated.
+    """
+    return [row for name in rows.tasks for row in _plain_rows(name, rows, published)]
+
+
+def _plain_rows(name: str, rows: Rows, published: Sequence[str]) -> Iterator[dict[str, Any]]:
+    """A row for each method and variant of a task, by column name."""
+    compared = differences(name, rows, published)
+    for label, runs in rows.on(name).items():
+        theirs, changes = compared.get(label, (None, {}))
+        how = runs[0].evaluated  # the same for all runs of a row, but for environments
+        horizon = get_task(name).resolve_horizon(how.horizon)
+        for variant in dict.fromkeys(key[2] for key in rows.scores if key[:2] == (label, name)):
+            scores = [score.score for score in rows.scores[label, name, variant, RULE]]
+            rule = [score.score for score in rows.scores[label, name, variant, PUBLISHED_RULE]]
+            interval = Method("", runs, ()).on([EnvId(name, full_variant(variant))]).mean()
+            change = changes.get(variant)
+            spread = paper.published_score(name, theirs, variant) if theirs and change else None
+            numbers = {
+                "score": interval.value,
+                "score_std": float(np.std(scores)) if scores[1:] else None,
+                "score_low": interval.low,
+                "score_high": interval.high,
+                PUBLISHED_RULE: float(np.mean(rule)),
+                "published_method": theirs,
+                "published": spread and spread.mean,
+                "published_std": spread and spread.std,
+                "difference": change and change.value,
+                "difference_low": change and change.low,
+                "difference_high": change and change.high,
+            }
+            yield {
+                "task": name,
+                "variant": variant,
+                "method": label,
+                "runs": len(scores),
+                "interval_over": "rollouts" if isinstance(interval, OverRollouts) else "runs",
+                **{key: None if value != value else value for key, value in numbers.items()},
+                "track": track(runs) or None,
+                "test_evaluations": gather_statements(runs).test_evaluations,
+                **how.settings,
+                "horizon": horizon,
+            }
+
+
+def write_page(
+    path: Path,
+    title: str,
+    found: Found,
+    published: Sequence[str] = (),
+    *,
+    load_policy: LoadPolicy | None = None,
+    clips: int = 0,
+    conclusions: Sequence[str] = (),
+) -> Sequence[str]:
+    """Write a page with all results of evaluated runs and their training, in one file.
+
+    `published` are rows of the published tables to show, `clips` the number of runs whose best,
+    median and worst rollouts are recorded, `conclusions` sentences at the beginning. Returns why
+    there are no rollouts, if some were requested and none could be recorded.
+    """
+    reels, notes = (
+        record_reels(found.results, load_policy, clips) if load_policy and clips else ([], [])
+    )
+    rows = rows_of(found.entries)
+    curves, damaged = curves_by_task(found.results)
+    skipped = [(str(item.folder), item.reason) for item in found.skipped]
+    skipped += [(str(folder), reason) for folder, reason in damaged.items()]
+    means = {method.name: method.interquartile_mean() for method in compared_methods(rows)}
+    evaluated = {env_id.variant for run in found.entries for env_id in run.evaluated.env_ids}
+    counts = {entry.evaluated.rollouts for entry in found.entries}
+    html = render_template(
+        "page.html.j2",
+        title=title,
+        runs=len(found.results),
+        methods=len({entry.method for entry in found.entries}),
+        conclusions=conclusions,
+        changed={short_variant(v): text for v, text in CHANGED.items() if v in evaluated},
+        tables=score_tables(rows, published),
+        rollouts=" to ".join(map(str, sorted({min(counts), max(counts)}))),
+        summaries=summary_tables(rows),
+        means=interval_plot(means, "interquartile mean", "iqm") if means else "",
+        curves=curves,
+        reels=reels,
+        clip_notes=notes,
+        skipped=skipped,
+        version=__version__,
+    )
+    write_text(path, html)
+    return () if reels else notes
+
+
+def render_template(name: str, **values: Any) -> str:
+    """Render one of this package's templates; values are escaped."""
+    import jinja2  # from the `report` extra
+
+    options: Any = {"autoescape": True, "trim_blocks": True, "lstrip_blocks": True}
+    loader, undefined = jinja2.PackageLoader("magical.report"), jinja2.StrictUndefined
+    environment = jinja2.Environment(loader=loader, undefined=undefined, **options)
+    return environment.get_template(name).render(**values)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file atomically, in UTF-8; undecodable bytes of file names are escaped."""
+    with write_atomically(path) as file:
+        file.write(text.encode(errors="backslashreplace"))

@@ -78,8 +78,7 @@ def run(args: argparse.Namespace) -> int:
 def _report(args: argparse.Namespace, plan: "Plan") -> int:
     from magical.evaluation.entry import policy_of
     from magical.report.found import find_results
-    from magical.report.page import plain_rows, write_page
-    from magical.report.table import rows_of
+    from magical.report.table import plain_rows, rows_of, write_page
 
     found = find_results([args.out])
     conclusions, page = _conclusions(plan, found.entries), args.out / "report.html"
