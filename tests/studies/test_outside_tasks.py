@@ -1,4 +1,4 @@
-"""Tasks outside the language of goals: the experts reach every goal, which is not reached before."""
+"""Tasks outside the language of goals: experts reach every goal, idleness none."""
 
 import pytest
 
