@@ -33,6 +33,7 @@ from magical_baselines.data import load_demonstrations
 from magical_baselines.policy import TrainedPolicy, load_policy, sample_actions, to_inputs
 from magical_baselines.training import Purpose, Run, seeded_init, stream
 from magical_goals.intent.acting import Intention
+from magical_goals.intent.checking import contradiction, demonstrated_ends
 from magical_goals.intent.posterior import (
     Belief,
     Explanation,
@@ -84,7 +85,9 @@ class ProgramNetwork(ObjectPolicy):
     def believe(self, task: int, belief: Belief) -> None:
         """Store the belief about a task."""
         programs = [(repr(program), weight) for program, weight in belief.explanations]
-        saved = _SavedBelief(programs, belief.unexplained, belief.largest)
+        saved = _SavedBelief(
+            programs, belief.unexplained, belief.largest, belief.contradiction, list(belief.ends)
+        )
         text = json.dumps(saved).encode()
         assert len(text) <= MAX_BYTES
         self.beliefs[task] = 0
@@ -98,7 +101,7 @@ class ProgramNetwork(ObjectPolicy):
             explanations = [Explanation(parse(program), w) for program, w in saved.programs]
         except InvalidProgramError as error:
             raise CheckpointError(f"policy: {error}") from error
-        belief = Belief(explanations, saved.unexplained, saved.largest)
+        belief = Belief(explanations, *saved[1:])
         if belief.is_explained and not explanations:
             raise CheckpointError(f"policy: no programs, but {saved.unexplained} unexplained")
         return belief
@@ -110,6 +113,8 @@ class _SavedBelief(NamedTuple):
     programs: list[tuple[str, Annotated[float, Meta(gt=0)]]]  # with their weights
     unexplained: float
     largest: float
+    contradiction: str
+    ends: list[tuple[float, float]]
 
 
 class ProgramPolicy(TrainedPolicy):
@@ -199,8 +204,11 @@ def infer_beliefs(
     beliefs = {}
     for task in config.tasks:
         rng = stream(config.seed, Purpose.PROGRAMS)
-        episodes = [parsed_episode(each, rng) for each in demonstrations if each.task == task]
-        beliefs[task] = infer(episodes)
+        own = [each for each in demonstrations if each.task == task]
+        belief = infer([parsed_episode(each, rng) for each in own])
+        if belief.is_explained:
+            belief = belief._replace(contradiction=contradiction(belief, own))
+        beliefs[task] = belief._replace(ends=demonstrated_ends(own))
     return beliefs
 
 
