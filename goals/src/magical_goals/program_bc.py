@@ -113,8 +113,8 @@ class _SavedBelief(NamedTuple):
     programs: list[tuple[str, Annotated[float, Meta(gt=0)]]]  # with their weights
     unexplained: float
     largest: float
-    contradiction: str
-    ends: list[tuple[float, float]]
+    contradiction: str = ""
+    ends: list[tuple[float, float]] = []  # noqa: RUF012 (msgspec copies it)
 
 
 class ProgramPolicy(TrainedPolicy):

@@ -19,6 +19,7 @@ from magical_goals.objects.control import ROBOT_TARGET
 from magical_goals.objects.data import ParsedDemonstration
 
 MOST_MOVES = 12  # in thought
+MOST_ENDS = 200  # to keep
 # Chosen on training tasks of the generated suite, of which 3 of 64 are contradicted, the human
 # demonstrations of the paper's tasks, of which none is, and the development tasks of
 # studies/outside_tasks.
@@ -72,13 +73,13 @@ def imagine(belief: Belief, shown: ParsedDemonstration) -> tuple[Floats, bool]:
 
 
 def demonstrated_ends(demonstrations: Sequence[ParsedDemonstration]) -> list[tuple[float, float]]:
-    """Where the blocks that were moved, or the robot, ended, in all demonstrations."""
+    """Where the blocks that were moved, or else the robot, ended; of many, `MOST_ENDS`."""
     ends = []
     for shown in demonstrations:
         moved = sorted({block for block, _, _ in shown.carries})
         places = _ends(shown)[[1 + block for block in moved] or [0]]
         ends += [(float(x), float(y)) for x, y in places.round(3)]
-    return ends
+    return ends[:: 1 + len(ends) // MOST_ENDS]
 
 
 def _ends(shown: ParsedDemonstration) -> Floats:
