@@ -14,6 +14,7 @@ import argparse
 import tempfile
 import time
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from statistics import median
 
@@ -21,10 +22,10 @@ import torch
 
 from magical.demos.generate import generate
 from magical.envs import EnvId
-from magical_baselines.algorithms.bc import Batch, BCConfig, BCTrainer, sample_batch
+from magical_baselines.algorithms.bc import Batch, BCConfig, make_cloning, sample_batch
 from magical_baselines.compute import choose_compute
 from magical_baselines.data import ExpertData, sample_demonstrations
-from magical_baselines.training import Run, prefetch
+from magical_baselines.training import Purpose, Run, prefetch, stream
 
 TASK = "MoveToCorner"
 DEMOS = 25
@@ -46,9 +47,9 @@ class Setup:
             device="cpu",
         )
         (folder / "run").mkdir()
-        self.trainer = BCTrainer(self.config, Run(folder / "run", self.config))
+        self.trainer = make_cloning(self.config, Run(folder / "run", self.config))
         self.trainer.network.train()
-        found = sample_demonstrations(self.config.demos, (TASK,), DEMOS, 0).trajectories
+        found, _ = sample_demonstrations(self.config)
         spec = self.config.observation_spec
         self.data = ExpertData(found, (TASK,), spec, remove_noops=True)
         self.making: list[float] = []
@@ -56,7 +57,7 @@ class Setup:
         self.whole: list[float] = []
 
     def make(self, number: int) -> Batch:
-        return sample_batch(self.config, self.data, number)
+        return sample_batch(self.config, self.data, stream(0, Purpose.BATCHES, number))
 
     def learn(self, batch: Batch) -> None:
         self.trainer.update(0, batch)
@@ -68,7 +69,7 @@ class Setup:
         self.making.append(seconds(lambda: self.make(1), time.process_time))
         self.learning.append(seconds(lambda: self.learn(batch), time.process_time))
         torch.set_num_threads(threads)
-        with prefetch(self.make, range(WARM_UP + BATCHES), True) as batches:
+        with closing(prefetch(self.make, range(WARM_UP + BATCHES), True)) as batches:
             for number, prepared in enumerate(batches):
                 if number == WARM_UP:
                     start = time.perf_counter()

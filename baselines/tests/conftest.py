@@ -1,8 +1,6 @@
 """Small demonstrations made of pictures; everything here needs PyTorch."""
 
 from importlib.util import find_spec
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +17,7 @@ STEPS = 12
 TASKS = ("MoveToCorner", "MoveToRegion")
 
 
-def picture_demo(task: str, seed: int, actions: Any = None) -> Trajectory:
+def picture_demo(task, seed, actions=None):
     """Random pictures; the brightness of a corner tells the action."""
     rng = np.random.default_rng((seed, sum(task.encode())))
     if actions is None:
@@ -37,7 +35,7 @@ def picture_demo(task: str, seed: int, actions: Any = None) -> Trajectory:
     )
 
 
-def write_demos(path: Path, trajectories: list[Trajectory]) -> Path:
+def write_demos(path, trajectories):
     writer = DatasetWriter(path)
     for trajectory in trajectories:
         writer.append(trajectory)
@@ -45,19 +43,19 @@ def write_demos(path: Path, trajectories: list[Trajectory]) -> Path:
 
 
 @pytest.fixture(scope="session")
-def trajectories() -> list[Trajectory]:
+def trajectories():
     """Four demonstrations of each of two tasks."""
     return [picture_demo(task, seed) for seed in range(4) for task in TASKS]
 
 
 @pytest.fixture(scope="session")
-def demos(tmp_path_factory: pytest.TempPathFactory, trajectories: list[Trajectory]) -> Path:
+def demos(tmp_path_factory, trajectories):
     """The same as a dataset."""
     return write_demos(tmp_path_factory.mktemp("demos") / "data", trajectories)
 
 
 @pytest.fixture(scope="session")
-def expert_demos(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def expert_demos(tmp_path_factory):
     """Two demonstrations of each of two tasks by the scripted experts, with poses."""
     demonstrations = [
         demonstrate(EnvId(task, "Demo"), seed=seed)

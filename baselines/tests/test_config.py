@@ -1,27 +1,20 @@
 """Configurations: types and ranges of their settings, plain data, other people's classes."""
 
-from dataclasses import dataclass
-from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
-import numpy as np
 import pytest
 
 from baselines.tests.tiny_runs import tiny
 from magical.errors import InvalidConfigError, RunFolderError, UnknownNameError
 from magical.runs.folder import CONFIG
 from magical.runs.sources import track_of
-from magical.tasks import TASKS as REGISTRY
 from magical_baselines import algorithm_names, find_algorithm, read_config
 from magical_baselines.algorithms.bc import BCConfig
-from magical_baselines.algorithms.ppo import PPOConfig
-from magical_baselines.config import option
 
 TASKS = ("MoveToRegion",)
 
 
-def quick(**fields: Any) -> BCConfig:
+def quick(**fields):
     return BCConfig.preset("quick", **{"tasks": TASKS, "demos": "demos", **fields})
 
 
@@ -31,22 +24,15 @@ def quick(**fields: Any) -> BCConfig:
         ({"batches": 1e4}, "batches: expected int, found float"),
         ({"batches": 0}, "batches: expected int >= 1"),
         ({"seed": True}, "seed: expected int, found bool"),
-        ({"seed": -1}, "seed: expected int >= 0"),
-        ({"anneal": "yes"}, "anneal: expected bool, found str"),
-        ({"learning_rate": "1e-3"}, "learning_rate: expected float, found str"),
         ({"learning_rate": float("inf")}, "learning_rate: expected finite numbers, found inf"),
         ({"momentum": 1.0}, "momentum: expected float < 1.0"),
         ({"augment": None}, "augment: expected str, found null"),
         ({"optimizer": "lion"}, "optimizer: expected one of 'sgd', 'adam', found 'lion'"),
-        ({"threads": 5000}, "threads: expected int <= 4096"),
-        ({"tasks": ()}, "tasks: expected each task once"),
         ({"tasks": TASKS * 2}, "tasks: expected each task once"),
         ({"observation": "state"}, "augment: expected none"),
     ],
 )
-def test_settings_of_another_type_or_range_are_refused(
-    fields: dict[str, Any], message: str
-) -> None:
+def test_settings_of_another_type_or_range_are_refused(fields, message):
     with pytest.raises(InvalidConfigError, match=message):
         quick(**fields)
 
@@ -60,19 +46,12 @@ def test_settings_of_another_type_or_range_are_refused(
         ({"demo": "demos"}, "setting 'demo' is unknown; expected one of: tasks, "),
     ],
 )
-def test_unknown_names_are_refused_with_the_known_ones(
-    fields: dict[str, Any], message: str
-) -> None:
+def test_unknown_names_are_refused_with_the_known_ones(fields, message):
     with pytest.raises(UnknownNameError, match=message):
         quick(**fields)
 
 
-def test_an_observation_that_an_algorithm_does_not_take_is_named() -> None:
-    with pytest.raises(UnknownNameError, match="observation 'state' is not taken by gail"):
-        tiny(find_algorithm("gail").config, observation="state")
-
-
-def test_a_misspelt_setting_is_named_before_a_missing_one() -> None:
+def test_a_misspelt_setting_is_named_before_a_missing_one():
     with pytest.raises(UnknownNameError, match="'demo'"):
         BCConfig.preset("quick", tasks=TASKS, demo="demos")
     with pytest.raises(InvalidConfigError, match="expected the setting demos, found none"):
@@ -81,27 +60,8 @@ def test_a_misspelt_setting_is_named_before_a_missing_one() -> None:
         BCConfig.preset("slow", tasks=TASKS, demos="demos")
 
 
-def test_optional_settings_may_be_none() -> None:
-    assert PPOConfig.preset("quick", tasks=TASKS, workers=None).workers is None
-    with pytest.raises(InvalidConfigError, match=r"workers: expected int \| null, found str"):
-        PPOConfig.preset("quick", tasks=TASKS, workers="two")
-
-
-def test_paths_and_numbers_of_numpy_are_kept_as_plain_ones() -> None:
-    given = {"demos": Path("demos"), "seed": np.int64(3), "learning_rate": np.float32(0.5)}
-    plain = {"demos": "demos", "seed": 3, "learning_rate": 0.5}
-    found = quick(**given).to_dict()
-    assert found == quick(**plain).to_dict()
-    assert {type(found[name]) for name in plain} == {str, int, float}
-
-
-@pytest.mark.parametrize("tasks", [REGISTRY, np.array(TASKS), np.str_(*TASKS)])
-def test_tasks_may_be_any_names(tasks: Any) -> None:
-    assert quick(tasks=tasks).tasks == (tuple(REGISTRY) if tasks is REGISTRY else TASKS)
-
-
 @pytest.mark.parametrize("algorithm", algorithm_names())
-def test_configurations_are_the_same_after_plain_data(algorithm: str) -> None:
+def test_configurations_are_the_same_after_plain_data(algorithm):
     kind = find_algorithm(algorithm).config
     for preset in kind.presets:
         config = tiny(kind, preset)
@@ -109,17 +69,7 @@ def test_configurations_are_the_same_after_plain_data(algorithm: str) -> None:
         assert config.replace(seed=5).seed == 5
 
 
-@dataclass(frozen=True, kw_only=True)
-class Named(BCConfig):
-    name: str = option("", "a note")
-
-
-def test_an_option_may_have_the_name_of_a_parameter() -> None:
-    config = Named.preset("quick", tasks=("MakeLine",), demos="demos", name="mine")
-    assert (config.name, Named.from_dict(config.to_dict())) == ("mine", config)
-
-
-def test_an_algorithm_that_is_not_installed_any_more_is_named_with_the_file(tmp_path: Path) -> None:
+def test_an_algorithm_that_is_not_installed_any_more_is_named_with_the_file(tmp_path):
     (tmp_path / CONFIG).write_text('{"algorithm": "gone"}')
     with pytest.raises(RunFolderError, match=r"config\.json: algorithm 'gone' is unknown"):
         read_config(tmp_path)
@@ -128,7 +78,7 @@ def test_an_algorithm_that_is_not_installed_any_more_is_named_with_the_file(tmp_
 CHOSEN = SimpleNamespace(LEARNED_FROM=("benchmark prior",), HIDDEN=(8,), make_convolutions=print)
 
 
-def test_a_network_says_what_it_was_made_from() -> None:
+def test_a_network_says_what_it_was_made_from():
     found = quick(network=f"{__name__}:CHOSEN").training_details["learned_from"]
     assert found == ["demonstrations", "benchmark prior"]
     assert track_of(found) == "B"
@@ -142,6 +92,6 @@ def test_a_network_says_what_it_was_made_from() -> None:
         (iter(("MoveToRegion", "ClusterColour")), "published"),
     ],
 )
-def test_the_published_horizon_is_for_tasks_that_have_two(tasks: Any, horizon: str) -> None:
+def test_the_published_horizon_is_for_tasks_that_have_two(tasks, horizon):
     config = find_algorithm("gail").config.preset("published-code", tasks=tasks, demos="d")
     assert config.horizon == horizon

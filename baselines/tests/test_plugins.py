@@ -2,18 +2,13 @@
 
 import json
 import sys
-from dataclasses import dataclass
-from pathlib import Path
 
 import pytest
 
-from baselines.tests.tiny_runs import same_weights, tiny
 from magical.cli import main
 from magical.errors import PluginError, UnknownNameError
 from magical.runs.folder import CONFIG
-from magical_baselines import find_algorithm, read_config, train
-from magical_baselines.algorithms.bc import BCConfig
-from magical_baselines.config import options
+from magical_baselines import find_algorithm, read_config
 from magical_baselines.networks import find_network
 
 MODULE = '''
@@ -41,13 +36,6 @@ NETWORK = SimpleNamespace(
     HIDDEN=(8,), make_convolutions=lambda channels, batch_norm: nn.Conv2d(channels, 2, 8, 8)
 )
 
-DROPOUT = SimpleNamespace(
-    HIDDEN=(8,),
-    make_convolutions=lambda channels, batch_norm: nn.Sequential(
-        nn.Conv2d(channels, 2, 8, 8), nn.Dropout(0.5)
-    ),
-)
-
 
 class Own(PixelSpec):
     def to_dict(self):
@@ -59,7 +47,7 @@ OBSERVATION = Own((("ego", 2),))
 
 
 @pytest.fixture
-def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+def module(tmp_path, monkeypatch):
     (tmp_path / "lib").mkdir()
     (tmp_path / "lib" / "own_learner.py").write_text(MODULE)
     monkeypatch.syspath_prepend(tmp_path / "lib")
@@ -70,9 +58,7 @@ def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
 SIZE = ["--batches", "4", "--batch-size", "2", "--num-demos", "1", "--threads", "1"]
 
 
-def test_it_trains_resumes_and_is_evaluated_like_ours(
-    module: str, demos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_it_trains_resumes_and_is_evaluated_like_ours(module, demos, tmp_path, capsys):
     run = tmp_path / "run"
     command = ["train", f"{module}:ALGORITHM", "--out", str(run)]
     settings = ["--network", f"{module}:NETWORK", "--observation", f"{module}:OBSERVATION"]
@@ -95,43 +81,7 @@ def test_it_trains_resumes_and_is_evaluated_like_ours(
     assert "--patience N" in capsys.readouterr().out
 
 
-def test_an_option_named_like_one_of_the_command(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    for name, message in (
-        ("resume", "OwnConfig.resume: `magical train` has an option of this name"),
-        ("run", "expected --task, --demos, found none"),  # as for any other name
-    ):
-        file = tmp_path / f"own_{name}.py"
-        file.write_text(MODULE.replace("patience", name))
-        out = ["--out", str(tmp_path / "run")]
-        assert main(["train", f"{file}:ALGORITHM", f"--{name}", "2", *out]) > 0
-        assert message in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("algorithm", ["bc", "ppo", "gail", "iq-learn"])
-def test_a_network_with_dropout_learns_the_same_again_and_resumed(
-    algorithm: str, module: str, demos: Path, tmp_path: Path
-) -> None:
-    data = {} if algorithm == "ppo" else {"demos": str(demos)}
-    config = tiny(find_algorithm(algorithm).config, network=f"{module}:DROPOUT", **data)
-    train(config, tmp_path / "whole")
-    train(config, tmp_path / "parts", stop_after=1)
-    train(config, tmp_path / "parts", resume=True)
-    assert same_weights(tmp_path / "whole", tmp_path / "parts")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Bare(BCConfig):
-    patience: int = 3
-
-
-def test_a_field_that_is_no_option_is_named() -> None:
-    with pytest.raises(PluginError, match=r"Bare\.patience: expected option"):
-        options(Bare)
-
-
-def test_what_is_not_there_or_of_another_kind_is_named(module: str) -> None:
+def test_what_is_not_there_or_of_another_kind_is_named(module):
     with pytest.raises(PluginError, match=r"expected Algorithm, found SimpleNamespace"):
         find_algorithm(f"{module}:NETWORK")
     with pytest.raises(PluginError, match=r"no 'OTHER' in the module, which has: "):

@@ -1,8 +1,6 @@
 """Trained networks as policies, and runs loaded again."""
 
 import shutil
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -11,10 +9,8 @@ from torch import Tensor, nn
 
 from baselines.tests.conftest import TASKS
 from baselines.tests.tiny_runs import CPU
-from magical import evaluation
 from magical.errors import CheckpointError, DivergedError, PolicyError, RunFolderError
 from magical.evaluation import Policy
-from magical.observe import PRESETS
 from magical.runs.folder import CHECKPOINT
 from magical_baselines import NetworkPolicy, is_run, load_policy, train
 from magical_baselines.algorithms.bc import BCConfig
@@ -25,23 +21,23 @@ IDS = [f"magical/{task}-Demo-v0" for task in TASKS]
 class Fixed(nn.Module):
     """Logits from a table, a row a task, plus the image's mean."""
 
-    def __init__(self, logits: Tensor) -> None:
+    def __init__(self, logits):
         super().__init__()
         self.logits = logits
         self.seen: list[Tensor] = []
 
-    def forward(self, images: Tensor, tasks: Tensor) -> Tensor:
+    def forward(self, images, tasks):
         self.seen.append(images)
         return self.logits[tasks]
 
 
-def fixed(logits: Any, preset: str = "LoRes4E", greedy: bool = False) -> NetworkPolicy:
+def fixed(logits, preset="LoRes4E", greedy=False):
     network = Fixed(torch.as_tensor(logits, dtype=torch.float32))
     config = BCConfig.preset("paper", tasks=TASKS, demos="", observation=preset)
     return NetworkPolicy(network, config, CPU, greedy)
 
 
-def test_actions_are_sampled_from_the_distribution_of_the_right_task() -> None:
+def test_actions_are_sampled_from_the_distribution_of_the_right_task():
     logits = torch.full((2, 18), -1e4)
     logits[0, [2, 17]] = torch.tensor([0.25, 0.75]).log()
     logits[1, 5] = 0.0
@@ -58,18 +54,7 @@ def test_actions_are_sampled_from_the_distribution_of_the_right_task() -> None:
     assert set(greedy.act(frames[:4], ids[:4], np.random.default_rng(0))) == {17}
 
 
-@pytest.mark.parametrize("preset", ["LoRes4E", "LoResCHW4E"])
-def test_both_channel_orders_reach_the_network_alike_in_unit_range(preset: str) -> None:
-    policy = fixed(torch.zeros(2, 18), preset)
-    frames = np.random.default_rng(0).integers(0, 256, (2, 96, 96, 12), dtype=np.uint8)
-    given = frames.transpose(0, 3, 1, 2) if PRESETS[preset].channels_first else frames
-    policy.act(given, IDS, np.random.default_rng(0))
-    expected = torch.from_numpy(frames).permute(0, 3, 1, 2) / 255.0
-    assert isinstance(policy.network, Fixed)
-    assert torch.allclose(policy.network.seen[0], expected, atol=1e-7)
-
-
-def test_wrong_observations_and_tasks_are_named() -> None:
+def test_wrong_observations_and_tasks_are_named():
     policy = fixed(torch.zeros(2, 18))
     rng = np.random.default_rng(0)
     with pytest.raises(PolicyError, match=r"\(B, 96, 96, 12\), found uint8 of shape \(1, 64"):
@@ -82,18 +67,18 @@ def test_wrong_observations_and_tasks_are_named() -> None:
 
 @pytest.mark.parametrize("bad", [torch.nan, torch.inf, -torch.inf])
 @pytest.mark.parametrize("greedy", [False, True])
-def test_logits_that_are_not_finite_are_an_error(bad: float, greedy: bool) -> None:
+def test_logits_that_are_not_finite_are_an_error(bad, greedy):
     logits = torch.zeros(2, 18)
     logits[1, 4] = bad
     policy = fixed(logits, greedy=greedy)
     frames = np.zeros((3, 96, 96, 12), np.uint8)
     assert len(policy.act(frames, [IDS[0]] * 3, np.random.default_rng(0))) == 3
-    with pytest.raises(DivergedError, match=r"expected finite outputs, found -?(nan|inf);"):
+    with pytest.raises(DivergedError, match="expected finite outputs"):
         policy.act(frames, [IDS[0], IDS[1], IDS[0]], np.random.default_rng(0))
 
 
 @pytest.fixture(scope="module")
-def run(demos: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def run(demos, tmp_path_factory):
     config = BCConfig.preset(
         "quick", tasks=TASKS, demos=str(demos), num_demos=2, batches=2, batch_size=4
     )
@@ -102,7 +87,7 @@ def run(demos: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_a_run_is_loaded_with_its_observation_and_tasks(run: Path) -> None:
+def test_a_run_is_loaded_with_its_observation_and_tasks(run):
     policy = load_policy(run)
     assert isinstance(policy, NetworkPolicy)
     assert is_run(run)
@@ -114,21 +99,7 @@ def test_a_run_is_loaded_with_its_observation_and_tasks(run: Path) -> None:
     assert not policy.network.training
 
 
-def test_one_function_loads_runs_as_well_as_named_policies(
-    run: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    loaded = evaluation.load_policy(run)
-    assert isinstance(loaded, NetworkPolicy)
-    monkeypatch.chdir(run.parent)
-    named = evaluation.load_policy(run.name)
-    assert isinstance(named, NetworkPolicy)
-    weights, same = loaded.network.state_dict(), named.network.state_dict()
-    assert all(torch.equal(weights[name], same[name]) for name in weights)
-    with pytest.raises(RunFolderError, match="expected a run folder"):
-        evaluation.load_policy(run.parent)
-
-
-def test_folders_that_hold_no_usable_run_are_named(run: Path, tmp_path: Path) -> None:
+def test_folders_that_hold_no_usable_run_are_named(run, tmp_path):
     with pytest.raises(RunFolderError, match="expected a run folder"):
         load_policy(tmp_path)
     copy = tmp_path / "copy"

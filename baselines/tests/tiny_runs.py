@@ -1,6 +1,5 @@
 """Shared by the tests of algorithms: the smallest runs, and comparisons of them."""
 
-from pathlib import Path
 from typing import Any, TypeVar
 
 import torch
@@ -47,25 +46,25 @@ TINY: dict[str, Any] = {
 }
 
 
-def tiny(kind: type[AnyConfig], preset: str = "quick", **fields: Any) -> AnyConfig:
+def tiny(kind, preset="quick", **fields):
     """A configuration of a run of a fraction of a second."""
     own = {option.name for option in options(kind)}
     shared = {name: value for name, value in TINY.items() if name in own}
     return kind.preset(preset, **{**shared, **fields})
 
 
-def checkpoint(folder: Path) -> dict[str, Any]:
+def checkpoint(folder):
     """The newest checkpoint."""
     return load_checkpoint(folder / CHECKPOINT)
 
 
-def same_weights(first: Path, second: Path) -> bool:
+def same_weights(first, second):
     """Whether the policies of two runs are equal, bit by bit."""
     a, b = (checkpoint(folder)["policy"] for folder in (first, second))
     return a.keys() == b.keys() and all(torch.equal(value, b[name]) for name, value in a.items())
 
 
-def assert_same(first: Any, second: Any, name: str = "") -> None:
+def assert_same(first, second, name=""):
     """Equal nested state dicts, tensors bit by bit."""
     assert type(first) is type(second), name
     if isinstance(first, Tensor):

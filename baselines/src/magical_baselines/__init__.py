@@ -8,13 +8,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 from magical.runs import is_run
-from magical_baselines.config import (
-    Algorithm,
-    Config,
-    algorithm_names,
-    find_algorithm,
-    read_config,
-)
+from magical_baselines.config import Algorithm, Config, algorithm_names, find_algorithm, read_config
 
 if TYPE_CHECKING:
     from magical_baselines.policy import NetworkPolicy, TrainedPolicy, load_policy
@@ -34,13 +28,8 @@ __all__ = [
     "train",
 ]
 
-_NEEDS_TORCH = {
-    "NetworkPolicy": "policy",
-    "TrainedPolicy": "policy",
-    "load_policy": "policy",
-    "TrainResult": "run",
-    "train": "run",
-}
+_NEEDS_TORCH = dict.fromkeys(("NetworkPolicy", "TrainedPolicy", "load_policy"), "policy")
+_NEEDS_TORCH |= {"TrainResult": "run", "train": "run"}
 
 
 def __getattr__(name: str) -> Any:

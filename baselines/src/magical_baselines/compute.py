@@ -36,11 +36,6 @@ class Compute:
     precision: Precision
     threads: Annotated[int, Meta(ge=0, le=MAX_THREADS)] = 0
 
-    def set_threads(self) -> None:
-        """Set PyTorch's number of threads; results are bit-equal only for the same number."""
-        if self.threads:
-            torch.set_num_threads(self.threads)
-
     def autocast(self) -> AbstractContextManager[Any]:
         """Context manager in which networks run in this precision."""
         return torch.autocast(

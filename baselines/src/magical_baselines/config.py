@@ -27,7 +27,7 @@ from typing import (
 import numpy as np
 from msgspec import Meta
 
-from magical.errors import InvalidConfigError, PluginError, RunFolderError, UnknownNameError
+from magical.errors import InvalidConfigError, RunFolderError, UnknownNameError
 from magical.messages import quoted
 from magical.observe import PRESETS, STATE, ObservationSpec, make_spec
 from magical.observe.presets import GROUP as OBSERVATIONS
@@ -71,8 +71,8 @@ def option(
 
     Args:
         default: the published setting; `MISSING` if one has to be given.
-        text: one line of command-line help; `metavar` is the value's placeholder there.
-        metavar: see `text`.
+        text: one line of command-line help.
+        metavar: the value's placeholder in the help.
         plugins: the group of entry points whose names are allowed, as is `module:NAME`.
         known: other names that are allowed.
         parse: called with the value; raises an error unless it is allowed.
@@ -161,7 +161,6 @@ class Config:
 
     @property
     def observation(self) -> str:
-        """The observation's name."""
         raise NotImplementedError(f"{type(self).__name__} defines no observation")
 
     @property
@@ -176,12 +175,10 @@ class Config:
 
     @property
     def input_shape(self) -> tuple[int, ...]:
-        """The shape of one observation as a network input."""
         return self.observation_spec.network_shape
 
     @property
     def observes_vectors(self) -> bool:
-        """Whether observations are state vectors."""
         return len(self.input_shape) == 1
 
     @property
@@ -222,20 +219,15 @@ class Config:
         return cls(**settings)
 
     def replace(self, **settings: Any) -> Self:
-        """A copy of the configuration with some settings replaced."""
         return self._of({**self.to_dict(), **settings})
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data for JSON."""
         plain = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         return {k: list(value) if isinstance(value, tuple) else value for k, value in plain.items()}
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], what: str = "configuration") -> Self:
-        """The inverse of `to_dict`, which checks the data; raises `InvalidConfigError`.
-
-        `what` says where the data came from, for error messages.
-        """
+        """The inverse of `to_dict`; raises `InvalidConfigError`, which begins with `what`."""
         try:
             return cls._of(data)
         except ValueError as error:
@@ -247,12 +239,8 @@ type_hints: Callable[[Any], dict[str, Any]] = cache(partial(get_type_hints, incl
 
 
 def options(kind: type[Config]) -> list[Field]:
-    """All fields but `algorithm`; raises `PluginError` for one that was not made by `option`."""
-    fields = [field for field in dataclasses.fields(kind) if field.name != "algorithm"]
-    for field in fields:
-        if not field.metadata:
-            raise PluginError(f"{kind.__name__}.{field.name}: expected option(...), found none")
-    return fields
+    """All fields but `algorithm`, each made by `option`."""
+    return [field for field in dataclasses.fields(kind) if field.name != "algorithm"]
 
 
 def _plain(value: Any, hint: Any) -> Any:
@@ -299,7 +287,6 @@ class NetworkConfig(Config):
 
     @property
     def learned_from(self) -> tuple[str, ...]:
-        """See `Config`."""
         return (*super().learned_from, *sources_of(self.network))
 
     def augmentations(self, names: str) -> Augmentations:
@@ -319,7 +306,6 @@ class PaperNetworkConfig(NetworkConfig):
 
     @property
     def published(self) -> bool:
-        """Whether the published code's conventions apply."""
         return self.conventions == "published"
 
     @property
@@ -349,12 +335,10 @@ class DemonstrationConfig(Config):
 
     @property
     def learned_from(self) -> tuple[str, ...]:
-        """See `Config`."""
         return (DEMONSTRATIONS, *super().learned_from)
 
     @property
     def training_details(self) -> dict[str, Any]:
-        """See `Config`."""
         found = {"demonstrations": f"{self.num_demos} of each task", NUM_DEMOS: self.num_demos}
         return {**super().training_details, **found}
 

@@ -1,10 +1,11 @@
-"""Demonstrations as training data: choosing them, and sampling frame stacks and actions.
+"""Training data: samples of demonstrations, and replay buffers of what a policy did lately.
 
 Each frame is stored once, as uint8 with channels first, and stacks are assembled when sampled. Ten
 demonstrations of a hundred steps take 28 MB this way, and 110 MB as stacks.
 """
 
-from collections.abc import Iterable, Sequence
+import zlib
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import repeat
 from typing import Any, NamedTuple
 
@@ -15,25 +16,17 @@ from torch import Tensor
 
 from magical.demos import Dataset, Trajectory
 from magical.demos.reader import TrajectorySource
-from magical.envs.action_spec import Actions, ActionSpaceName, spec_of
+from magical.envs.action_spec import Actions, spec_of
 from magical.errors import DemonstrationsError, TrajectoryError
 from magical.observe import ObservationSpec
 from magical.observe.arrays import stack_indices
 from magical.scene import NOOP
-from magical_baselines.augmentation.augment import augment
-from magical_baselines.augmentation.names import Augmentations
+from magical_baselines.checkpoints import StateDict
 from magical_baselines.config import DemonstrationConfig
 from magical_baselines.training import Purpose, Run, stream
 
-Rows = NDArray[np.int64]  # (B,) indices of samples
+Rows = NDArray[np.int64]  # (B,) numbers of samples, frames, tasks
 TaskTrajectories = tuple[tuple[str, Trajectory], ...]  # each with the name of its task
-
-
-class Demonstrations(NamedTuple):
-    """A run's demonstrations, and what identifies them."""
-
-    trajectories: TaskTrajectories
-    record: tuple[dict[str, Any], ...]  # task, file and SHA-256 of each
 
 
 def load_demonstrations(config: DemonstrationConfig, run: Run) -> TaskTrajectories:
@@ -41,39 +34,30 @@ def load_demonstrations(config: DemonstrationConfig, run: Run) -> TaskTrajectori
 
     Raises what `sample_demonstrations` and `Run.describe` raise.
     """
-    found = sample_demonstrations(
-        config.demos, config.tasks, config.num_demos, config.seed, config.action_space
-    )
-    run.describe(demonstrations=list(found.record))
-    return found.trajectories
+    trajectories, record = sample_demonstrations(config)
+    run.describe(demonstrations=record)
+    return trajectories
 
 
 def sample_demonstrations(
-    path: str,
-    tasks: Sequence[str],
-    count: int,
-    seed: int,
-    action_space: ActionSpaceName = "discrete",
-) -> Demonstrations:
+    config: DemonstrationConfig,
+) -> tuple[TaskTrajectories, list[dict[str, Any]]]:
     """Sample demonstrations of each task's Demo variant; the sample depends on the seed alone.
 
     All algorithms get the same demonstrations for the same seed, and a task in a multi-task run
     gets the same ones as in a single-task run (appendix B).
 
-    Args:
-        path: the dataset's folder.
-        tasks: the tasks' names, with `count` demonstrations of each.
-        count: see `tasks`.
-        seed: the run's seed.
-        action_space: the action space that their actions are converted to.
+    Returns:
+        The demonstrations with their tasks, and the task, file and SHA-256 of each.
 
     Raises:
         DemonstrationsError: too few, or continuous actions without a discrete equivalent.
         DatasetError: the dataset is missing or damaged.
     """
-    dataset = Dataset.open(path)
-    trajectories, record = [], []
-    for task in tasks:
+    dataset, count = Dataset.open(config.demos), config.num_demos
+    trajectories: list[tuple[str, Trajectory]] = []
+    record = []
+    for task in config.tasks:
         of_task = dataset.filter(task=task, variant="Demo")
         if len(of_task) < count:
             held = sorted({f"{entry.task}-{entry.variant}" for entry in dataset.entries})
@@ -82,17 +66,13 @@ def sample_demonstrations(
                 f"(Demo), found {len(of_task)}; the dataset holds: {', '.join(held) or 'nothing'}. "
                 "Add demonstrations, or ask for fewer with --num-demos"
             )
-        some = of_task.sample(count, stream(seed, Purpose.DEMONSTRATIONS))
-        trajectories += [(task, _converted(trajectory, action_space)) for trajectory in some]
+        some = of_task.sample(count, stream(config.seed, Purpose.DEMONSTRATIONS))
+        try:
+            trajectories += [(task, each.with_action_space(config.action_space)) for each in some]
+        except TrajectoryError as error:
+            raise DemonstrationsError(f"this learner takes discrete actions: {error}") from error
         record += [{"task": task, "file": e.file, "sha256": some.sha256(e)} for e in some.entries]
-    return Demonstrations(tuple(trajectories), tuple(record))
-
-
-def _converted(trajectory: Trajectory, action_space: ActionSpaceName) -> Trajectory:
-    try:
-        return trajectory.with_action_space(action_space)
-    except TrajectoryError as error:
-        raise DemonstrationsError(f"this learner takes discrete actions: {error}") from error
+    return tuple(trajectories), record
 
 
 class ExpertData:
@@ -125,7 +105,7 @@ class ExpertData:
         if a task has no samples left.
         """
         names, trajectories = zip(*demonstrations, strict=True)
-        self.device = device
+        self.device, self._spec = device, spec
         kept = [t.is_intended if transitions else t.is_demonstrated.copy() for t in trajectories]
         if remove_noops:
             kept = [some & ~_noops(t.labels) for some, t in zip(kept, trajectories, strict=True)]
@@ -138,16 +118,19 @@ class ExpertData:
         first = np.cumsum([0, *(len(t) + 1 for t in trajectories[:-1])])  # each one's first frame
         sources = [TrajectorySource(trajectory) for trajectory in trajectories]
         self.frames: list[Tensor] = []
-        self._stacks = []  # for each component: (S, frames + 1), indices of frames, oldest first
         for component in spec.components:
             frames = [component.read(source, np.arange(len(source) + 1)) for source in sources]
             self.frames.append(torch.from_numpy(np.concatenate(frames)).to(device))
-            parts = map(stack_indices, (s + 1 for s in steps), repeat(component.frames + 1))
-            stacks = np.concatenate([n + part for n, part in zip(first, parts, strict=True)])
-            self._stacks.append(torch.from_numpy(stacks).to(device))
+        parts = map(stack_indices, (s + 1 for s in steps), repeat(spec.frames + 1))
+        windows = np.concatenate([n + part for n, part in zip(first, parts, strict=True)])
+        # (S, K + 1), numbers of frames, oldest first, the last after the sample's action
+        self._windows = torch.from_numpy(windows).to(device)
         labels = [t.labels[some] for t, some in zip(trajectories, steps, strict=True)]
         executed = [t.actions[some] for t, some in zip(trajectories, steps, strict=True)]
-        self.actions, self.executed = (_to_tensor(parts).to(device) for parts in (labels, executed))
+        joined = (torch.from_numpy(np.concatenate(parts)) for parts in (labels, executed))
+        self.actions, self.executed = (
+            (each.float() if each.is_floating_point() else each).to(device) for each in joined
+        )
         tasks = np.repeat([task_names.index(name) for name in names], lengths)
         self.tasks = torch.from_numpy(tasks).to(device)
         self._rows = [np.flatnonzero(tasks == number) for number in range(len(task_names))]
@@ -160,7 +143,6 @@ class ExpertData:
                 )
 
     def __len__(self) -> int:
-        """The number of samples."""
         return len(self.actions)
 
     def images(self, rows: Rows, *, following: bool = False) -> Tensor:
@@ -168,22 +150,9 @@ class ExpertData:
 
         State vectors are (B, size) float32. `following`: those after the samples' actions.
         """
-        index, stacks = self._index(rows), []
-        for frames, indices in zip(self.frames, self._stacks, strict=True):
-            windows = indices[index]  # (B, K + 1)
-            chosen = windows[:, 1:] if following else windows[:, :-1]
-            found = frames.index_select(0, chosen.flatten())
-            stacks.append(found.view(len(rows), -1, *frames.shape[2:]))
-        return stacks[0] if len(stacks) == 1 else torch.cat(stacks, dim=1)
-
-    def augmented(
-        self, rows: Rows, which: Augmentations, rng: np.random.Generator, together: int = 1
-    ) -> Tensor:
-        """Augmented frame stacks of samples: (B, C, H, W) float32 in [0, 1].
-
-        Every `together` consecutive ones share augmentation parameters.
-        """
-        return augment(self.images(rows), which, rng, together)
+        windows = self._windows[self._index(rows)]  # (B, K + 1)
+        chosen = windows[:, 1:] if following else windows[:, :-1]
+        return stack_frames(self.frames, self._spec, chosen)
 
     def neighbours(self, rows: Rows, offsets: Rows) -> tuple[Rows, NDArray[np.bool_]]:
         """Samples at offsets (K,) from the given ones, and whether each exists: both (B, K).
@@ -222,22 +191,15 @@ def _bounds(trajectories: Sequence[Trajectory], steps: Sequence[Rows]) -> Rows:
     """The first and the last neighbour of each sample: (2, S); see `ExpertData.neighbours`."""
     demonstrated = [~each.is_demonstrated for each in trajectories]
     diverted = [np.append(False, ~each.is_intended[:-1]) for each in trajectories]
-    return np.stack([_extents(demonstrated, steps)[0], _extents(diverted, steps)[1]])
-
-
-def _extents(breaks: Sequence[NDArray[np.bool_]], steps: Sequence[Rows]) -> Rows:
-    """The first and the last sample, (2, S), of the stretch without breaks around each sample."""
-    stretches = [np.cumsum(of_one)[some] for of_one, some in zip(breaks, steps, strict=True)]
-    begins = np.concatenate([np.diff(of_one, prepend=-1) > 0 for of_one in stretches])
-    sizes = np.diff(np.append(np.flatnonzero(begins), len(begins)))
-    ends = np.cumsum(sizes)
-    return np.repeat([ends - sizes, ends - 1], sizes, axis=1)
-
-
-def _to_tensor(actions: Sequence[Actions]) -> Tensor:
-    """Actions of all trajectories, as int64, or float32 if continuous."""
-    joined = np.concatenate(actions)
-    return torch.from_numpy(joined if joined.dtype == np.int64 else joined.astype(np.float32))
+    found = []
+    for breaks in (demonstrated, diverted):
+        # The first and the last sample of the stretch without breaks around each sample.
+        stretches = [np.cumsum(of_one)[some] for of_one, some in zip(breaks, steps, strict=True)]
+        begins = np.concatenate([np.diff(of_one, prepend=-1) > 0 for of_one in stretches])
+        sizes = np.diff(np.append(np.flatnonzero(begins), len(begins)))
+        ends = np.cumsum(sizes)
+        found.append(np.repeat([ends - sizes, ends - 1], sizes, axis=1))
+    return np.stack([found[0][0], found[1][1]])
 
 
 def _noops(actions: Actions) -> NDArray[np.bool_]:
@@ -245,6 +207,18 @@ def _noops(actions: Actions) -> NDArray[np.bool_]:
     equal = actions == spec_of(actions).convert(np.array([NOOP]))
     noops: NDArray[np.bool_] = equal.reshape(len(actions), -1).all(axis=1)
     return noops
+
+
+def stack_frames(frames: Sequence[Tensor], spec: ObservationSpec, windows: Tensor) -> Tensor:
+    """Observations (B, ...) for windows (B, K) of numbers of frames, the newest last.
+
+    A component of the observation has its own frames, and as many of a window as it shows.
+    """
+    stacks = []
+    for of_one, component in zip(frames, spec.components, strict=True):
+        found = of_one.index_select(0, windows[:, -component.frames :].flatten())
+        stacks.append(found.view(len(windows), -1, *of_one.shape[2:]))
+    return stacks[0] if len(stacks) == 1 else torch.cat(stacks, dim=1)
 
 
 def split_evenly(size: int, num_tasks: int, rng: np.random.Generator) -> list[int]:
@@ -257,3 +231,216 @@ def split_evenly(size: int, num_tasks: int, rng: np.random.Generator) -> list[in
     if rest:
         counts[rng.choice(num_tasks, rest, replace=False)] += 1
     return [int(count) for count in counts]
+
+
+class Transitions(NamedTuple):
+    """B transitions (s, a, s')."""
+
+    observations: Tensor  # (B, ...), s as a network gets it
+    actions: Tensor  # (B,) int64
+    next_observations: Tensor  # (B, ...), s': at the end of an episode its final observation
+    ends: Tensor  # (B,) bool, whether the time limit ends the episode with s'
+    tasks: Tensor  # (B,) int64, positions in the configuration's tasks
+
+
+def expert_transitions(
+    expert: ExpertData, counts: Sequence[int], rng: np.random.Generator
+) -> Transitions:
+    """Sample `counts[k]` demonstrated transitions of task k, uniformly with replacement."""
+    rows = expert.sample_counts(counts, rng)
+    actions, tasks = expert.labels(rows)
+    ends = expert.ends[torch.from_numpy(rows).to(expert.device)]
+    following = expert.images(rows, following=True)
+    return Transitions(expert.images(rows), actions, following, ends, tasks)
+
+
+class ReplayBuffer:
+    """The newest transitions of N environments, with each frame stored once.
+
+    A stack of four frames takes 110 kB, a single frame 28 kB. The two stacks of a transition have
+    three frames in common and share all their frames with neighbouring transitions. A buffer
+    therefore holds single frames, numbered in the order of arrival, and a transition is a window of
+    frame numbers: without the newest, it is the observation before the action; without the oldest,
+    the one after it.
+    """
+
+    def __init__(
+        self, spec: ObservationSpec, like: Sequence[Tensor], capacity: int, num_tasks: int
+    ) -> None:
+        """Create an empty buffer for `capacity` frames.
+
+        The frames of each component of the observation are like those in `like`, (F, channels,
+        ...), on the same device.
+        """
+        self._spec, self._capacity, self._num_tasks = spec, capacity, num_tasks
+        self._frames = [part.new_zeros((capacity, *part.shape[1:])) for part in like]
+        self._stored = 0  # frames in total; number n is, or was, in slot n % capacity
+        self._added = 0  # transitions in total, in the same way; never more than frames
+        self._windows = np.zeros((capacity, spec.frames + 1), np.int64)
+        self._labels = np.zeros((capacity, 3), np.int64)  # action, end, task
+        self._current: Rows = np.zeros((0, spec.frames), np.int64)  # the environments' stacks
+        self._rows: list[Rows] = []  # of each task's transitions
+
+    def start(self, observations: Tensor) -> None:
+        """Start from the current observations (N, ...) of the environments.
+
+        Their earlier frames are not stored; the newest frame is repeated instead.
+        """
+        numbers = self._store(observations)
+        self._current = np.repeat(numbers[:, None], self._spec.frames, axis=1)
+
+    def add(
+        self,
+        actions: Tensor,
+        dones: NDArray[np.bool_],
+        observations: Tensor,
+        final: Tensor | None,
+        tasks: Rows,
+    ) -> None:
+        """Add a step of N environments, replacing the oldest frames.
+
+        Args:
+            actions: (N,), the actions taken.
+            dones: (N,), whether the episode ended.
+            observations: (N, ...), the current ones; where an episode ended, the next one's first.
+            final: the final observations of the episodes that ended; `None` if none ended.
+            tasks: (N,), the environments' tasks.
+        """
+        after = observations
+        if final is not None:
+            after = observations.clone()
+            after[torch.from_numpy(dones)] = final
+        windows = np.concatenate([self._current, self._store(after)[:, None]], axis=1)
+        rows = np.arange(self._added, self._added + len(windows)) % self._capacity
+        self._windows[rows] = windows
+        self._labels[rows] = np.stack([actions.cpu().numpy(), dones, tasks], axis=1)
+        self._added += len(windows)
+        self._rows = []
+        self._current = windows[:, 1:]
+        if final is not None:
+            self._current[dones] = self._store(observations[torch.from_numpy(dones)])[:, None]
+
+    def sample(self, counts: Sequence[int], rng: np.random.Generator) -> Transitions:
+        """Sample `counts[k]` transitions of task k, uniformly with replacement."""
+        chosen = [rng.choice(of_task, n) for of_task, n in zip(self._by_task, counts, strict=True)]
+        rows = np.concatenate(chosen)
+        windows, device = self._windows[rows], self._frames[0].device
+        actions, ends, tasks = (torch.from_numpy(part).to(device) for part in self._labels[rows].T)
+        before, after = self._stacks(windows[:, :-1]), self._stacks(windows[:, 1:])
+        return Transitions(before, actions, after, ends.bool(), tasks)
+
+    @property
+    def _by_task(self) -> list[Rows]:
+        """The rows of each task's transitions whose frames are all still stored."""
+        if not self._rows:
+            filled = slice(min(self._added, self._capacity))
+            kept = self._windows[filled, 0] >= self._stored - self._capacity
+            tasks = self._labels[filled, 2]
+            self._rows = [np.flatnonzero(kept & (tasks == k)) for k in range(self._num_tasks)]
+        return self._rows
+
+    def _store(self, observations: Tensor) -> Rows:
+        """Store the newest frames of observations (B, ...); returns their numbers (B,)."""
+        numbers = np.arange(self._stored, self._stored + len(observations))
+        slots = torch.from_numpy(numbers % self._capacity).to(self._frames[0].device)
+        last = 0
+        for frames, component in zip(self._frames, self._spec.components, strict=True):
+            channels = frames.shape[1]
+            last += component.frames * channels
+            newest = observations[:, last - channels : last].to(frames.device)
+            frames.index_copy_(0, slots, newest)
+        self._stored += len(observations)
+        return numbers
+
+    def _stacks(self, windows: Rows) -> Tensor:
+        """Observations (B, ...) for the windows (B, frames)."""
+        slots = torch.from_numpy(windows % self._capacity).to(self._frames[0].device)
+        return stack_frames(self._frames, self._spec, slots)
+
+    def state_dict(self) -> StateDict:
+        filled = min(self._stored, self._capacity)
+        return {
+            "stored": self._stored,
+            "added": self._added,
+            "frames": [pack(frames[:filled]) for frames in self._frames],
+            "windows": torch.from_numpy(self._windows[: self._added]),
+            "labels": torch.from_numpy(self._labels[: self._added]),
+            "current": torch.from_numpy(self._current),
+        }
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        self._stored, self._added = int(state["stored"]), int(state["added"])
+        for frames, packed in zip(self._frames, state["frames"], strict=True):
+            filled = frames[: min(self._stored, self._capacity)]
+            filled.copy_(unpack(packed, filled.dtype, filled.shape))
+        self._windows[: self._added] = state["windows"].numpy()
+        self._labels[: self._added] = state["labels"].numpy()
+        self._current = state["current"].numpy()
+        self._rows = []
+
+
+class RecentRollouts:
+    """The newest rollouts of N environments, from which learned rewards get the novice's samples.
+
+    Unlike in `ReplayBuffer`, observations are kept as the rollouts have them.
+    """
+
+    _observations: Tensor  # (capacity, T, N, ...), allocated with the first rollout
+    _actions: Tensor  # (capacity, T, N)
+
+    def __init__(self, task_of: Rows, device: str, capacity: int = 4) -> None:
+        """Create an empty buffer for `capacity` rollouts of environments with tasks (N,)."""
+        self._device, self._capacity, self._task_of = device, capacity, task_of
+        self._envs_of = [np.flatnonzero(task_of == number) for number in range(task_of.max() + 1)]
+        self._count = 0  # rollouts added in total
+
+    def add(self, observations: Tensor, actions: Tensor) -> None:
+        """Add observations (T, N, ...) and actions (T, N), replacing the oldest rollout."""
+        if not self._count:
+            self._observations = observations.new_zeros((self._capacity, *observations.shape))
+            self._actions = actions.new_zeros((self._capacity, *actions.shape))
+        self._observations[self._count % self._capacity] = observations
+        self._actions[self._count % self._capacity] = actions
+        self._count += 1
+
+    def sample(
+        self, counts: Sequence[int], rng: np.random.Generator
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Observations (B, ...), actions (B,) and tasks (B,), `counts[k]` of task k."""
+        pairs = zip(self._envs_of, counts, strict=True)
+        env = np.concatenate([rng.choice(envs, count) for envs, count in pairs])
+        rollout = rng.integers(min(self._count, self._capacity), size=len(env))
+        time = rng.integers(self._actions.shape[1], size=len(env))
+        index = tuple(torch.from_numpy(part).to(self._device) for part in (rollout, time, env))
+        tasks = torch.from_numpy(self._task_of[env]).to(self._device)
+        return self._observations[index], self._actions[index], tasks
+
+    def state_dict(self) -> StateDict:
+        if not self._count:
+            return {"count": 0}
+        return {
+            "count": self._count,
+            "dtype": str(self._observations.dtype).removeprefix("torch."),
+            "shape": list(self._observations.shape),
+            "observations": pack(self._observations),
+            "actions": self._actions,
+        }
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        self._count = int(state["count"])
+        if self._count:
+            plain = unpack(state["observations"], getattr(torch, state["dtype"]), state["shape"])
+            self._observations = plain.to(self._device)
+            self._actions = state["actions"].to(self._device)
+
+
+def pack(frames: Tensor) -> Tensor:
+    """Compress frames, which are mostly of uniform colour."""
+    packed = zlib.compress(frames.cpu().numpy().tobytes(), 1)
+    return torch.frombuffer(bytearray(packed), dtype=torch.uint8)
+
+
+def unpack(packed: Tensor, dtype: torch.dtype, shape: Sequence[int]) -> Tensor:
+    """The inverse of `pack`, on the CPU."""
+    plain = bytearray(zlib.decompress(packed.numpy().tobytes()))
+    return torch.frombuffer(plain, dtype=dtype).view(*shape)

@@ -8,12 +8,12 @@ float (B, size); `tasks` is int64 (B,), the position of each row's task in the c
 """
 
 import math
+from itertools import chain
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from magical.errors import PluginError
 from magical.scene import NUM_ACTIONS
 from magical_baselines.networks import find_network
 
@@ -47,34 +47,33 @@ class Trunk(nn.Module):
         num_features: int | None = None,
         pixel_range: tuple[float, float] = (0.0, 1.0),
     ) -> None:
-        """Build the trunk of an architecture, with PyTorch's initialisation.
+        """Build the trunk of an architecture, by name, with PyTorch's initialisation.
 
-        Args:
-            network: the architecture's name.
-            input_shape: (C, H, W) of images or (size,) of state vectors.
-            batch_norm: use batch norm in the convolutions.
-            action_input: how actions are joined, a key of `JOINED`.
-            num_features: replaces the last linear layer's size.
-            pixel_range: the range that images in [0, 1] are mapped to.
+        The input shape is (C, H, W) of images or (size,) of state vectors. `num_features` replaces
+        the last linear layer's size, and images in [0, 1] are mapped to the pixel range.
+        `action_input`, a key of `JOINED`, says how actions are joined.
         """
         super().__init__()
         architecture = find_network(network)
         hidden = architecture.HIDDEN
-        if not hidden:
-            raise PluginError(
-                f"network {network!r}: expected one or more sizes in HIDDEN, found none"
-            )
         if num_features is not None:
             hidden = (*hidden[:-1], num_features)
         self.convolutions = None
         self.map_shape = input_shape
         if len(input_shape) == 3:
             self.convolutions = architecture.make_convolutions(input_shape[0], batch_norm)
-            self.map_shape = _map_shape(self.convolutions, input_shape)
+            self.convolutions.eval()  # leaves the statistics of batch norm alone
+            with torch.no_grad():
+                self.map_shape = tuple(self.convolutions(torch.zeros(1, *input_shape)).shape[1:])
+            self.convolutions.train()
         self.action_input = action_input
         self.pixels = pixel_range
         joined = JOINED[action_input]
-        self.linear = _linear_layers([math.prod(self.map_shape), *hidden], joined)
+        inputs = [math.prod(self.map_shape), *hidden[:-1]]
+        inputs[0] += joined[0]
+        inputs[-1] += joined[1]
+        pairs = [(nn.Linear(*sizes), nn.ReLU()) for sizes in zip(inputs, hidden, strict=True)]
+        self.linear = nn.Sequential(*chain.from_iterable(pairs))
         self.embedding = nn.Embedding(NUM_ACTIONS, EMBEDDING) if joined[1] else None
         self.num_features = hidden[-1]
         # Convolutions are fastest with this memory layout; PyTorch's typed overloads lack it.
@@ -116,30 +115,6 @@ class Trunk(nn.Module):
         if self.convolutions is None or (low, high) == (0.0, 1.0):
             return observations
         return (observations * (high - low)).add_(low)
-
-
-def _map_shape(convolutions: nn.Module, input_shape: tuple[int, ...]) -> tuple[int, ...]:
-    convolutions.eval()  # leaves the statistics of batch norm alone
-    with torch.no_grad():
-        shape = convolutions(torch.zeros(1, *input_shape)).shape[1:]
-    convolutions.train()
-    return tuple(shape)
-
-
-def _linear_layers(sizes: list[int], joined: tuple[int, int]) -> nn.Sequential:
-    """Linear layers, each followed by a ReLU.
-
-    Args:
-        sizes: the size of the first layer's input, then of each layer's output.
-        joined: the numbers of extra inputs of the first and the last layer.
-    """
-    inputs = sizes[:-1]
-    inputs[0] += joined[0]
-    inputs[-1] += joined[1]
-    layers: list[nn.Module] = []
-    for before, after in zip(inputs, sizes[1:], strict=True):
-        layers += [nn.Linear(before, after), nn.ReLU()]
-    return nn.Sequential(*layers)
 
 
 class TaskLinear(nn.Module):
@@ -198,9 +173,7 @@ class Discriminator(nn.Module):
     """A discriminator: one logit per observation and action; high means expert-like."""
 
     def __init__(self, trunk: Trunk, num_tasks: int) -> None:
-        """`trunk` must have an action input."""
         super().__init__()
-        assert trunk.action_input != "none"
         self.trunk = trunk
         self.last = TaskLinear(trunk.num_features, 1, num_tasks)
 

@@ -92,11 +92,10 @@ class TrainedPolicy:
         with torch.inference_mode(), full_float32(), self._compute.autocast():
             outputs = function(*(each.to(self._compute.device) for each in inputs))
         found: Tensor = outputs.double().cpu()
-        finite = torch.isfinite(found)
-        if not finite.all():
+        if not torch.isfinite(found).all():
             raise DivergedError(
-                f"policy: expected finite outputs, found {found[~finite][0].item()}; the weights "
-                "are not finite, or too large for the precision"
+                "policy: expected finite outputs, found others; the weights are not finite, or too "
+                "large for the precision"
             )
         return found
 
@@ -121,7 +120,6 @@ class NetworkPolicy(TrainedPolicy):
     """
 
     def act(self, observations: Any, env_ids: Sequence[str], rng: np.random.Generator) -> Actions:
-        """See `TrainedPolicy`."""
         return choose_actions(self.probabilities(observations, env_ids), rng, self.greedy)
 
     def probabilities(self, observations: Any, env_ids: Sequence[str]) -> NDArray[np.float64]:

@@ -26,12 +26,7 @@ from magical.scene import NUM_ACTIONS
 from magical.tasks import Horizon, get_task
 from magical_baselines.augmentation.augment import to_unit
 from magical_baselines.checkpoints import StateDict
-from magical_baselines.config import (
-    NonNegativeInt,
-    PaperNetworkConfig,
-    PositiveInt,
-    option,
-)
+from magical_baselines.config import NonNegativeInt, PaperNetworkConfig, PositiveInt, option
 from magical_baselines.models import PolicyNetwork, sample_actions
 from magical_baselines.policy import NetworkPolicy
 from magical_baselines.training import Purpose, Run, stream
@@ -84,17 +79,14 @@ class InteractionConfig(PaperNetworkConfig):
 
     @property
     def learned_from(self) -> tuple[str, ...]:
-        """See `Config`."""
         return (*super().learned_from, INTERACTION)
 
     @property
     def steps_per_update(self) -> int:
-        """Environment steps per update of the policy."""
         return self.num_envs * self.num_steps
 
     @property
     def policy_updates(self) -> int:
-        """Updates of the policy in a whole run."""
         return self.total_steps // self.steps_per_update
 
     @property
@@ -104,7 +96,6 @@ class InteractionConfig(PaperNetworkConfig):
 
     @property
     def num_threads(self) -> int:
-        """See `Config`."""
         return self.threads or int(self.observes_vectors)
 
     @property
@@ -207,11 +198,9 @@ class RolloutEnvs:
         return torch.from_numpy(self._spec.network_input(observations))
 
     def state_dict(self) -> StateDict:
-        """The states of all environments."""
         return {"envs": [self.envs.get_state(row) for row in range(self.envs.num_envs)]}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Restore what `state_dict` returned."""
         observations = [self.envs.set_state(row, env) for row, env in enumerate(state["envs"])]
         self._observations = np.stack(observations)
 
@@ -282,13 +271,7 @@ class RewardNormaliser(nn.Module):
     squares: Tensor  # sums of squared deviations from the mean
 
     def __init__(self, num_tasks: int, std: float, *, published: bool = False) -> None:
-        """Start without statistics.
-
-        Args:
-            num_tasks: the number of tasks.
-            std: the standard deviation of the normalised rewards.
-            published: whether the published code's floor of standard deviations applies.
-        """
+        """Start without statistics; the published code has another floor of standard deviations."""
         super().__init__()
         self.target = std
         self.floor = PUBLISHED_FLOOR if published else FLOOR
@@ -297,23 +280,20 @@ class RewardNormaliser(nn.Module):
 
     def forward(self, rewards: Tensor, tasks: Tensor) -> Tensor:
         """Update the statistics with rewards (T, N) of tasks (N,), and normalise the rewards."""
-        self.update(rewards, tasks)
-        std = (self.squares / self.count.clamp(min=1)).sqrt().clamp(min=self.floor)  # (K,)
-        normalised = (rewards - self.mean[tasks]) / std[tasks] * self.target
-        return normalised.to(rewards.dtype)
-
-    def update(self, rewards: Tensor, tasks: Tensor) -> None:
-        """Merge the mean and squared deviations of rewards (T, N) into the running ones."""
-        rewards = rewards.double()
+        # Merge the mean and the squared deviations into the running ones.
+        exact = rewards.double()
         member = nn.functional.one_hot(tasks, len(self.count)).double()  # (N, K)
-        count = len(rewards) * member.sum(dim=0)
-        mean = rewards.sum(dim=0) @ member / count.clamp(min=1)
-        squares = (rewards - mean[tasks]).square().sum(dim=0) @ member
+        count = len(exact) * member.sum(dim=0)
+        mean = exact.sum(dim=0) @ member / count.clamp(min=1)
+        squares = (exact - mean[tasks]).square().sum(dim=0) @ member
         total = (self.count + count).clamp(min=1)
         change = mean - self.mean
         self.squares += squares + change.square() * self.count * count / total
         self.mean += change * count / total
         self.count += count
+        std = (self.squares / self.count.clamp(min=1)).sqrt().clamp(min=self.floor)  # (K,)
+        normalised = (rewards - self.mean[tasks]) / std[tasks] * self.target
+        return normalised.to(rewards.dtype)
 
 
 class Monitor:
@@ -337,31 +317,29 @@ class Monitor:
         yield
         self._seconds[part] = time.perf_counter() - start
 
-    def metrics(self) -> Metrics:
-        """Durations in seconds and, once an episode has ended, the mean score."""
+    def metrics(self, accuracy: Any = None) -> Metrics:
+        """Durations in seconds, the mean score once an episode has ended, and warnings.
+
+        `warning` is there if this update, of which `accuracy` is the discriminator's, is at least
+        the 50th in a row with a symptom of a collapse.
+        """
         found: Metrics = {f"{part}_seconds": spent for part, spent in self._seconds.items()}
         if self._recent:
             found["score"] = mean_by_task(self._recent)
-        return found
-
-    def warning(self, metrics: Mapping[str, float | str]) -> Metrics:
-        """Return `{"warning": ...}` if one more update's metrics show a collapse, else `{}`."""
-        accuracy = metrics.get("discriminator_accuracy")
         symptoms = {"one action": self._one_action}
-        if isinstance(accuracy, float):
+        if accuracy is not None:
             symptoms["discriminator at chance"] = abs(accuracy - CHANCE) <= NEAR_CHANCE
             symptoms["discriminator always right"] = accuracy == 1.0
-        counts = {name: self._counts.get(name, 0) + 1 for name, on in symptoms.items() if on}
-        self._counts = counts
-        found = [f"{name} for {n} updates" for name, n in counts.items() if n >= COLLAPSE_UPDATES]
-        return {"warning": ", ".join(found)} if found else {}
+        self._counts = {name: self._counts.get(name, 0) + 1 for name, on in symptoms.items() if on}
+        lasting = [(name, n) for name, n in self._counts.items() if n >= COLLAPSE_UPDATES]
+        if lasting:
+            found["warning"] = ", ".join(f"{name} for {n} updates" for name, n in lasting)
+        return found
 
     def state_dict(self) -> StateDict:
-        """Recent scores, and for how many updates each symptom of a collapse has lasted."""
         return {"recent": list(self._recent), "collapse": self._counts}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Restore what `state_dict` returned."""
         self._recent.extend((int(task), score) for task, score in state["recent"])
         self._counts = {name: int(count) for name, count in state["collapse"].items()}
 
@@ -411,21 +389,16 @@ class InteractionTrainer:
     def __enter__(self) -> Self:
         with ExitStack() as stack:
             self.envs = stack.enter_context(RolloutEnvs(self.config, self.device, self._reward))
-            self.start()
+            restored = self.run.keep(
+                policy=self.network, optimizer=self.optimizer, envs=self.envs, monitor=self.monitor
+            )
+            if not restored:
+                self.envs.reset()
             self._stack = stack.pop_all()
         return self
 
     def __exit__(self, *error: object) -> None:
         self._stack.close()
-
-    def start(self) -> bool:
-        """Start the environments, or restore everything; returns whether it was restored."""
-        restored = self.run.keep(
-            policy=self.network, optimizer=self.optimizer, envs=self.envs, monitor=self.monitor
-        )
-        if not restored:
-            self.envs.reset()
-        return restored
 
     def remaining_updates(self) -> range:
         """The numbers of the policy's remaining updates."""
@@ -435,16 +408,12 @@ class InteractionTrainer:
     def finish_update(self, update: int, metrics: Metrics) -> bool:
         """Evaluate, log and save a checkpoint, each if due; true if the run stops."""
         config, done = self.config, update + 1
-        metrics |= self.monitor.metrics()
+        metrics |= self.monitor.metrics(metrics.get("discriminator_accuracy"))
         every, last = config.evaluate_every, done == config.policy_updates
         if every and (done % every == 0 or last):
             metrics["evaluation_score"] = self._evaluate()
-        steps: Metrics = {"environment_steps": done * config.steps_per_update}
-        return self.run.finish_step(
-            self.previous_steps + done,
-            lambda: {**self.monitor.warning(metrics), **steps, **metrics},
-            last=last,
-        )
+        metrics["environment_steps"] = done * config.steps_per_update
+        return self.run.finish_step(self.previous_steps + done, lambda: metrics, last=last)
 
     def _evaluate(self) -> float:
         """The mean score of the current weights; the network is in training mode afterwards."""

@@ -3,7 +3,7 @@
 import ctypes
 import os
 import platform
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +19,7 @@ from magical.runs.metrics import read_metrics
 from magical_baselines.compute import choose_device, cpu_threads, full_float32, gpu_memory_as_error
 from magical_baselines.config import Config, find_algorithm
 from magical_baselines.policy import TrainedPolicy, load_policy
-from magical_baselines.training import Callback, Interrupts, Run, restored_generators
+from magical_baselines.training import Callback, Interrupts, Metrics, Run, restored_generators
 
 TRACKERS = ("tensorboard", "wandb")
 # M_TRIM_THRESHOLD, M_TOP_PAD, M_MMAP_THRESHOLD of glibc's allocator, in bytes.
@@ -38,7 +38,6 @@ class TrainResult:
 
     @property
     def finished(self) -> bool:
-        """Whether the run is complete."""
         return self.step >= self.total
 
     def policy(self) -> TrainedPolicy:
@@ -46,7 +45,6 @@ class TrainResult:
         return load_policy(self.folder)
 
     def summary(self) -> dict[str, Any]:
-        """Plain data for JSON."""
         return {
             "run": str(self.folder),
             "finished": self.finished,
@@ -90,18 +88,16 @@ def train(
         MissingDependencyError: a tracker's library is not installed.
     """
     folder, algorithm, total = Path(out), find_algorithm(config.algorithm), config.num_updates
-    expected, found = algorithm.config.__qualname__, type(config).__qualname__
-    if found != expected:
-        raise InvalidConfigError(f"{config.algorithm}: expected a {expected}, found a {found}")
     with (
         opened_folder(folder, config.to_dict(), resume),
         prepared_pytorch(config),
         Interrupts() as stop,
         Run(folder, config, interrupts=stop, stop_after=stop_after) as run,
         ProgressBar(config.algorithm, total, transient=False) if progress else nullcontext() as bar,
-        opened_trackers(track, run) as log,
+        opened_trackers(track, run) as trackers,
     ):
-        run.callbacks += [each for each in (bar and bar.update, log, callback) if each]
+        run.callbacks += [*([bar.update] if bar else []), *trackers]
+        run.callbacks += [callback] if callback else []
         algorithm.train(config, run)
     newest = (read_metrics(folder) or [{"step": run.step}])[-1]
     return TrainResult(folder, run.step, total, stop.seen, newest)
@@ -132,11 +128,11 @@ def prepared_pytorch(config: Config) -> Iterator[None]:
 
 
 @contextmanager
-def opened_trackers(names: Sequence[str], run: Run) -> Iterator[Callback | None]:
-    """Context manager whose value, `log(step, metrics)`, sends the numbers to these trackers."""
+def opened_trackers(names: Sequence[str], run: Run) -> Iterator[list[Callback]]:
+    """Context manager whose value are callbacks that send the numbers to these trackers."""
     if unknown := set(names) - set(TRACKERS):
         raise InvalidConfigError(f"track: expected {' or '.join(TRACKERS)}, found {min(unknown)!r}")
-    senders: list[Callable[[Mapping[str, float], int], object]] = []
+    callbacks: list[Callback] = []
     with ExitStack() as stack:
         if "tensorboard" in names:
             library("tensorboard", "tracker tensorboard")
@@ -146,11 +142,11 @@ def opened_trackers(names: Sequence[str], run: Run) -> Iterator[Callback | None]
             writer = SummaryWriter(str(run.folder / TENSORBOARD), purge_step=run.step + 1)
             stack.enter_context(writer)
 
-            def send_scalars(numbers: Mapping[str, float], step: int) -> None:
-                for name, number in numbers.items():
+            def send_scalars(step: int, metrics: Metrics) -> None:
+                for name, number in _numbers(metrics).items():
                     writer.add_scalar(name, number, step)
 
-            senders.append(send_scalars)
+            callbacks.append(send_scalars)
         if "wandb" in names:
             name = run.folder.resolve().name
             session = library("wandb", "tracker wandb").init(
@@ -162,11 +158,9 @@ def opened_trackers(names: Sequence[str], run: Run) -> Iterator[Callback | None]
                 resume="allow",
             )
             stack.enter_context(session)
-            senders.append(lambda numbers, step: session.log(numbers, step=step))
+            callbacks.append(lambda step, metrics: session.log(_numbers(metrics), step=step))
+        yield callbacks
 
-        def log(step: int, metrics: Mapping[str, float | str]) -> None:
-            numbers = {name: value for name, value in metrics.items() if not isinstance(value, str)}
-            for send in senders if numbers else ():
-                send(numbers, step)
 
-        yield log if senders else None
+def _numbers(metrics: Metrics) -> dict[str, Any]:
+    return {name: value for name, value in metrics.items() if not isinstance(value, str)}

@@ -10,9 +10,9 @@ import signal
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, closing, contextmanager
 from dataclasses import asdict
 from enum import IntEnum
 from functools import cached_property
@@ -48,9 +48,6 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM)
 SAVING_SHARE = 0.05  # of training time is for saving checkpoints, at most
 DEPTH = 2  # batches ahead of the one in use
 
-# Guards PyTorch's global generator: while one thread initialises a network, runs in others wait.
-_lock = threading.RLock()
-
 
 class Purpose(IntEnum):
     """What a stream is for. Runs are reproducible only if no number ever changes its meaning."""
@@ -76,10 +73,9 @@ def seed_torch(seed: int, purpose: Purpose, number: int = 0) -> None:
     """Seed PyTorch's global generators, of the CPU and the GPUs, from a stream."""
     value = int(stream(seed, purpose, number).integers(2**63))
     # `torch.manual_seed` also records its call stack for each kind of device not in use.
-    with _lock:
-        torch.default_generator.manual_seed(value)
-        if torch.cuda.is_available():
-            torch.cuda.manual_seed_all(value)
+    torch.default_generator.manual_seed(value)
+    if torch.cuda.is_available():
+        torch.cuda.manual_seed_all(value)
 
 
 def restored_generators(device: str = "cpu") -> AbstractContextManager[None]:
@@ -91,7 +87,7 @@ def restored_generators(device: str = "cpu") -> AbstractContextManager[None]:
 @contextmanager
 def seeded_init(seed: int, number: int = 0) -> Iterator[None]:
     """Context manager in which PyTorch initialises network `number` from the seed."""
-    with _lock, restored_generators():
+    with restored_generators():
         seed_torch(seed, Purpose.INIT, number)
         yield
 
@@ -125,9 +121,6 @@ class Averages:
     """Weighted means of metrics since the last reset; sums stay on the metrics' device."""
 
     def __init__(self) -> None:
-        self._clear()
-
-    def _clear(self) -> None:
         self._sums: dict[str, Tensor] = {}
         self._weights: dict[str, int] = {}
         self._start = time.perf_counter()
@@ -148,15 +141,12 @@ class Averages:
         if speed_of:
             seconds = time.perf_counter() - self._start
             means["samples_per_second"] = self._weights[speed_of] / seconds
-        self._clear()
+        self._sums, self._weights, self._start = {}, {}, time.perf_counter()
         return means
 
 
 class Interrupts:
-    """Context manager: the first Ctrl-C or SIGTERM sets `seen`, a second interrupts the program.
-
-    In a program that embeds Python, signals whose handlers were not set from Python are left alone.
-    """
+    """Context manager: the first Ctrl-C or SIGTERM sets `seen`, a second interrupts the program."""
 
     def __init__(self) -> None:
         self.seen = False
@@ -164,8 +154,7 @@ class Interrupts:
 
     def __enter__(self) -> Self:
         if threading.current_thread() is threading.main_thread():  # only it may set handlers
-            ours = [number for number in SIGNALS if signal.getsignal(number) is not None]
-            self._before = {number: signal.signal(number, self._note) for number in ours}
+            self._before = {number: signal.signal(number, self._note) for number in SIGNALS}
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -200,7 +189,6 @@ class Run:
         interrupts: Interrupts | None = None,
         stop_after: int | None = None,
     ) -> None:
-        """See `magical_baselines.train`; raises `CheckpointError`, `InvalidConfigError`."""
         if stop_after is not None and stop_after < 1:
             raise InvalidConfigError(f"stop_after: expected a positive number, found {stop_after}")
         self.folder, self.config = folder, config
@@ -232,8 +220,7 @@ class Run:
                     f"{quoted(self.record[name])}, found {quoted(fact)}; restore what it began "
                     "with, or start a new run"
                 )
-        if not set(facts) <= set(self.record):
-            self._write_record(facts)
+        self._write_record(facts)
 
     @cached_property
     def compute(self) -> Compute:
@@ -246,11 +233,12 @@ class Run:
         if chosen is None or chosen.device != device:
             chosen = choose_compute(device, config.network_precision, config.num_threads)
             self._write_record({"compute": asdict(chosen)})
-        chosen.set_threads()
+        if chosen.threads:  # results are bit-equal only for the same number
+            torch.set_num_threads(chosen.threads)
         return chosen
 
     def _write_record(self, facts: Mapping[str, Any]) -> None:
-        self.record = {**self.record, **facts}
+        self.record |= facts
         write_json(self.folder / RECORD, self.record)
 
     def keep(self, **parts: Stateful) -> bool:
@@ -269,12 +257,7 @@ class Run:
         return found
 
     def finish_step(
-        self,
-        step: int,
-        metrics: Callable[[], Metrics],
-        *,
-        log_every: int = 1,
-        last: bool = False,
+        self, step: int, metrics: Callable[[], Metrics], *, log_every: int = 1, last: bool = False
     ) -> bool:
         """End a step: log metrics, check them, and save a checkpoint, each if due.
 
@@ -300,7 +283,8 @@ class Run:
             for callback in self.callbacks:
                 callback(step, found)
             self._require_finite(step, found)
-        if stops or last or self._checkpoint_is_due(step):
+        every, waited = self.config.checkpoint_every, time.monotonic() - self._saved_at
+        if stops or last or (step % every == 0 if every else waited >= self._pause):
             begun = time.monotonic()
             state = {name: state_of(part) for name, part in self._parts.items()}
             self._require_finite(step, state)
@@ -318,11 +302,6 @@ class Run:
                 f"{' and '.join(ignored)}: this algorithm does not take them, since its "
                 "train function does not use run.compute; leave them out"
             )
-
-    def _checkpoint_is_due(self, step: int) -> bool:
-        if every := self.config.checkpoint_every:
-            return step % every == 0
-        return time.monotonic() - self._saved_at >= self._pause
 
     def _require_finite(self, step: int, state: Any) -> None:
         """Raise `DivergedError` if any number or tensor in nested dicts and lists is not finite."""
@@ -368,7 +347,7 @@ def fit(
     assert isinstance(config, SupervisedConfig)
     end = config.num_updates if until is None else until
     numbers = range(run.step, end)
-    with prefetch(sample, numbers, ahead=run.compute.device == "cpu") as batches:
+    with closing(prefetch(sample, numbers, ahead=run.compute.device == "cpu")) as batches:
         for number, batch in zip(numbers, batches, strict=False):
             averages.add(config.batch_size, **update(number, batch))
             if run.finish_step(
@@ -381,18 +360,17 @@ def fit(
     return False
 
 
-@contextmanager
 def prefetch(
-    make: Callable[[int], T], numbers: Sequence[int], ahead: bool
-) -> Iterator[Iterable[T]]:
-    """Yield an iterable of the batches `make(number)`, in order.
+    make: Callable[[int], T], numbers: Iterable[int], ahead: bool
+) -> Generator[T, None, None]:
+    """Yield the batches `make(number)`, in order; raises what `make` raises.
 
     If `ahead`, a thread makes them in advance, on one core, and leaves the others to the main
     thread: this is for batches made by the host. Batches made on a GPU are made on demand, as its
-    kernels are queued asynchronously anyway. The iterator raises what `make` raises.
+    kernels are queued asynchronously anyway. The thread ends when the generator is closed.
     """
     if not ahead:
-        yield map(make, numbers)
+        yield from map(make, numbers)
         return
     num_threads = torch.get_num_threads()
     thread = ThreadPoolExecutor(1, "batches", torch.set_num_threads, (1,))
@@ -400,19 +378,13 @@ def prefetch(
     # the default of the time at which it first asks.
     thread.submit(torch.get_num_threads).result()
     torch.set_num_threads(num_threads)
+    queue: deque[Future[T]] = deque()
     try:
-        yield _ahead(thread, make, numbers)
+        for number in numbers:
+            queue.append(thread.submit(make, number))
+            if len(queue) > DEPTH:
+                yield queue.popleft().result()
+        while queue:
+            yield queue.popleft().result()
     finally:
         thread.shutdown(cancel_futures=True)
-
-
-def _ahead(
-    thread: ThreadPoolExecutor, make: Callable[[int], T], numbers: Iterable[int]
-) -> Iterator[T]:
-    queue: deque[Future[T]] = deque()
-    for number in numbers:
-        queue.append(thread.submit(make, number))
-        if len(queue) > DEPTH:
-            yield queue.popleft().result()
-    while queue:
-        yield queue.popleft().result()

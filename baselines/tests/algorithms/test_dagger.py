@@ -1,34 +1,35 @@
 """DAgger from beginning to end, in the smallest runs."""
 
-from pathlib import Path
+from contextlib import closing
 from typing import Any
 
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from baselines.tests import tiny_runs
-from baselines.tests.conftest import TASKS
 from baselines.tests.tiny_runs import assert_same, checkpoint
-from magical.demos import Dataset, DatasetWriter, Trajectory
-from magical.errors import (
-    DatasetError,
-    NoExpertError,
-    RunFolderError,
-)
-from magical.experts import goals
+from magical.demos import Dataset, DatasetWriter
+from magical.envs import EnvId
+from magical.envs.vector import MagicalVectorEnv
+from magical.errors import DatasetError
+from magical.experts import Memory, expert_for, strategy_seed
+from magical.experts.memory import note_other_action
+from magical.physics import Simulation
 from magical.runs import read_metrics
+from magical.scene import Poses, State
+from magical.scene.actions import POINTS
 from magical_baselines import train
-from magical_baselines.algorithms.bc import BCConfig
-from magical_baselines.algorithms.dagger import AGGREGATE, DAggerConfig
-from magical_baselines.config import options
+from magical_baselines.algorithms.dagger import AGGREGATE, DAggerConfig, collect_labelled
 
 
-def tiny(demos: Path, **fields: Any) -> DAggerConfig:
+def tiny(demos, **fields):
     settings = {"rounds": 3, "batches": 2, "batch_size": 3, "network": "light", "log_every": 1}
     every: dict[str, Any] = {**settings, "demos": str(demos), "checkpoint_every": 1}
     return tiny_runs.tiny(DAggerConfig, **{**every, **fields})
 
 
-def assert_same_run(first: Path, second: Path) -> None:
+def assert_same_run(first, second):
     """Equal weights, optimisers and episodes; files differ in the time of recording."""
     a, b = ({**checkpoint(folder), "aggregate": None} for folder in (first, second))
     assert_same(a, b)
@@ -37,19 +38,19 @@ def assert_same_run(first: Path, second: Path) -> None:
         assert left.labels.tolist() == right.labels.tolist()
 
 
-def aggregate(folder: Path) -> Dataset:
+def aggregate(folder):
     return Dataset.open(folder / AGGREGATE)
 
 
 @pytest.fixture(scope="module")
-def whole(demos: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def whole(demos, tmp_path_factory):
     """A run that was never stopped."""
     folder = tmp_path_factory.mktemp("dagger") / "run"
     assert train(tiny(demos), folder).finished
     return folder
 
 
-def test_the_aggregate_is_a_dataset_like_others(whole: Path) -> None:
+def test_the_aggregate_is_a_dataset_like_others(whole):
     dataset = aggregate(whole)
     assert {entry.env_id for entry in dataset.entries} == {"magical/MoveToRegion-Demo-v0"}
     assert [t.metadata["round"] for t in dataset] == [1, 2]
@@ -59,7 +60,7 @@ def test_the_aggregate_is_a_dataset_like_others(whole: Path) -> None:
     assert first.seed != second.seed
 
 
-def test_reports_count_the_experts_labels(whole: Path) -> None:
+def test_reports_count_the_experts_labels(whole):
     rows = read_metrics(whole)
     assert [row["step"] for row in rows] == [1, 2, 3, 4, 5, 6]
     assert [row["round"] for row in rows] == [0, 0, 1, 1, 2, 2]
@@ -72,32 +73,11 @@ def test_reports_count_the_experts_labels(whole: Path) -> None:
     assert [row["score"] for row in rows[2::2]] == pytest.approx(scores, abs=1e-6)
 
 
-def test_resumed_runs_are_bit_equal(demos: Path, tmp_path: Path) -> None:
-    more: dict[str, Any] = {"tasks": TASKS, "variants": ("Demo", "TestJitter"), "episodes": 2}
-    config = tiny(demos, **more)
-    assert train(config, tmp_path / "whole").finished
-    parts = tmp_path / "parts"
-    assert train(config, parts, stop_after=2).step == 2  # at a round's end
-    assert train(config, parts, resume=True, stop_after=1).step == 3  # inside one
-    assert train(config, parts, resume=True, stop_after=2).step == 5
-    assert train(config, parts, resume=True).finished
-    assert_same_run(tmp_path / "whole", parts)
-    assert train(config, parts, resume=True).finished
-    speed = "samples_per_second"
-    first, second = (
-        [{**row, speed: 0.0} for row in read_metrics(folder)]
-        for folder in (tmp_path / "whole", parts)
-    )
-    assert first == second
-
-
-def test_a_round_that_was_cut_short_while_stored_is_completed(
-    demos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_round_that_was_cut_short_while_stored_is_completed(demos, tmp_path, monkeypatch):
     config = tiny(demos, episodes=2)
     append = DatasetWriter.append
 
-    def full_after_three(self: Any, trajectory: Trajectory) -> Any:
+    def full_after_three(self, trajectory):
         if len(aggregate(self.path.parent)) == 3:
             raise DatasetError("the disk is full")
         return append(self, trajectory)
@@ -112,41 +92,65 @@ def test_a_round_that_was_cut_short_while_stored_is_completed(
     assert_same_run(tmp_path / "run", tmp_path / "whole")
 
 
-def test_another_aggregate_cannot_continue_a_run(demos: Path, tmp_path: Path, whole: Path) -> None:
-    config = tiny(demos)
-    train(config, tmp_path / "run", stop_after=3)
-    (tmp_path / "run" / AGGREGATE).rename(tmp_path / "own")
-    with pytest.raises(RunFolderError, match=r"expected the 1 episodes.*restore"):
-        train(config, tmp_path / "run", resume=True)
+ENV_IDS = (
+    EnvId("MoveToRegion", "Demo"),
+    EnvId("MoveToRegion", "TestAll"),
+    EnvId("MoveToCorner", "TestDynamics"),
+)
+FORWARD_LEFT = 4
 
 
-def test_the_paper_preset_splits_the_batches_of_behavioural_cloning() -> None:
-    paper, table = (
-        kind.preset("paper", tasks=TASKS[:1], demos="") for kind in (DAggerConfig, BCConfig)
-    )
-    assert isinstance(paper, DAggerConfig)
-    assert paper.num_updates == table.num_updates == 20_000
-    names = [option.name for option in options(BCConfig) if option.name != "batches"]
-    assert all(getattr(paper, name) == getattr(table, name) for name in names)
-    assert [paper.beta(number) for number in range(3)] == [1.0, 0.5, 0.25]
+class Stubborn:
+    """Always does the same; keeps what it was shown."""
+
+    observation = "LoRes4E"
+
+    def __init__(self):
+        self.shown: list[NDArray[np.uint8]] = []
+
+    def reset(self, mask):
+        self.shown.clear()
+
+    def act(self, shown, env_ids, rng):
+        self.shown.append(shown.copy())
+        return np.full(len(env_ids), FORWARD_LEFT)
 
 
-def test_every_variant_of_every_task_has_its_turn(demos: Path) -> None:
-    names = ("Demo", "TestJitter", "Layout", "Shape")
-    config = tiny(demos, tasks=TASKS, variants=names, episodes=4)
-    assert config.variants == ("Demo", "Jitter", "Layout", "Shape")
-    found = [env_id.removeprefix("magical/") for env_id in config.env_ids]
-    corner, region = found[:4], found[4:]
-    assert set(corner) == {
-        f"MoveToCorner-{name}-v0" for name in ("Demo", "TestJitter", "TestShape")
-    }
-    assert set(region) == {
-        f"MoveToRegion-{name}-v0" for name in ("Demo", "TestJitter", "TestLayout")
-    }
+def collect(share, seed=0, workers=0):
+    policy = Stubborn()
+    with closing(
+        MagicalVectorEnv(
+            ENV_IDS, workers=workers, observation="LoRes4E", autoreset_mode="Disabled", copy=False
+        )
+    ) as envs:
+        return collect_labelled(envs, policy, share, np.random.default_rng(seed), round=3), policy
 
 
-def test_a_task_without_an_expert_is_named(demos: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(goals, "_registered", {})
-    monkeypatch.setattr(goals, "_is_ours", lambda task: False)
-    with pytest.raises(NoExpertError, match="'MoveToRegion' has no scripted expert"):
-        tiny(demos)
+def expert_on(trajectory):
+    """The expert's labels along an episode that is simulated again, and the episode's poses."""
+    simulation = Simulation(trajectory.scene, trajectory.dynamics)
+    seed = strategy_seed(trajectory.env_id.variant, trajectory.seed)
+    expert, memory = expert_for(trajectory.task.name, seed=seed), Memory()
+    labels, poses = [], [simulation.read()[:, :3].copy()]
+    for step, action in enumerate(trajectory.actions.tolist()):
+        table = simulation.read()
+        state = State(
+            trajectory.scene, Poses(table[:, :3]), table[:, 3:], step, trajectory.task.horizon
+        )
+        label, memory = expert.act(state, memory)
+        memory = memory if label == action else note_other_action(memory, action)
+        labels.append(label)
+        simulation.step(POINTS[action])
+        poses.append(simulation.read()[:, :3].copy())
+    return labels, np.stack(poses)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5])
+def test_labels_are_the_experts_on_the_states_visited(share):
+    trajectories, _ = collect(share)
+    assert [t.env_id for t in trajectories] == list(ENV_IDS)
+    assert [len(t) for t in trajectories] == [40, 40, 80]
+    for trajectory in trajectories:
+        labels, poses = expert_on(trajectory)
+        assert labels == trajectory.labels.tolist()
+        assert np.array_equal(poses, np.asarray(trajectory.poses))

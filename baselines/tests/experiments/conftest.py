@@ -3,10 +3,9 @@
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -35,7 +34,7 @@ settings = { batches = 6, batch_size = 4, log_every = 1, checkpoint_every = 2 }
 
 
 @pytest.fixture(scope="session")
-def tiny(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def tiny(tmp_path_factory):
     """A plan of two runs."""
     path = tmp_path_factory.mktemp("plans") / "tiny.toml"
     path.write_text(TINY)
@@ -43,10 +42,10 @@ def tiny(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def planned(tiny: Path) -> Planned:
+def planned(tiny):
     """The runs of the tiny plan, with parts of its text replaced."""
 
-    def make(*changes: tuple[str, str], demos: str | None = None) -> list[PlannedRun]:
+    def make(*changes, demos=None):
         text = tiny.read_text()
         for old, new in changes:
             assert old in text
@@ -61,10 +60,10 @@ def planned(tiny: Path) -> Planned:
 class Inline:
     """An executor that finishes each run when it is submitted, in this process."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.started: list[Any] = []
 
-    def submit(self, work: Any, folder: Path, demos: Path | None) -> "Future[None]":
+    def submit(self, work, folder, demos):
         from magical_baselines.experiments import one_run
 
         self.started.append(work)
@@ -75,14 +74,14 @@ class Inline:
             future.set_exception(error)
         return future
 
-    def stop(self) -> None:
+    def stop(self):
         """Nothing is ever in progress."""
 
-    def close(self) -> None:
+    def close(self):
         """There is nothing to close."""
 
 
-def execute(runs: list[PlannedRun], out: Path, **options: Any) -> list[Any]:
+def execute(runs, out, **options):
     """Execute a plan in this process; what was started."""
     from magical_baselines.experiments import execution
 
@@ -92,13 +91,13 @@ def execute(runs: list[PlannedRun], out: Path, **options: Any) -> list[Any]:
 
 
 @pytest.fixture
-def out(tmp_path: Path) -> Path:
+def out(tmp_path):
     """No results yet."""
     return tmp_path / "out"
 
 
 @pytest.fixture(scope="session")
-def finished(planned: Planned, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def finished(planned, tmp_path_factory):
     """The results of the tiny plan; not to be changed."""
     path = tmp_path_factory.mktemp("finished") / "out"
     execute(planned(), path)
@@ -106,7 +105,7 @@ def finished(planned: Planned, tmp_path_factory: pytest.TempPathFactory) -> Path
 
 
 @contextmanager
-def running(plan: Path, out: Path, *options: str) -> Iterator["subprocess.Popen[str]"]:
+def running(plan, out, *options):
     """A process that executes a plan, one run at a time; killed at the end."""
     command = [sys.executable, "-m", "magical", "run", str(plan), "--out", str(out), *options]
     environ = {**os.environ, "RAY_USAGE_STATS_ENABLED": "0"}
@@ -119,16 +118,16 @@ def running(plan: Path, out: Path, *options: str) -> Iterator["subprocess.Popen[
             process.kill()
 
 
-def reached(out: Path, moment: int) -> bool:
+def reached(out, moment):
     """Whether so many lines of metrics and records of finished runs are written in time."""
 
-    def written() -> bool:
+    def written():
         lines = sum(path.read_text().count("\n") for path in out.glob("runs/*/metrics.jsonl"))
         return lines + len(list(out.glob("runs/*/result.json"))) >= moment
 
     return soon(written, TIMEOUT)
 
 
-def scores_of(out: Path) -> dict[str, bytes]:
+def scores_of(out):
     """The scores of each run of a results folder."""
     return {path.parent.name: path.read_bytes() for path in out.glob("runs/*/scores.csv")}

@@ -1,28 +1,24 @@
 """The demonstrations of a plan: a dataset's, generated ones, or both."""
 
-import json
 import os
 import shutil
 import signal
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from baselines.tests.experiments.conftest import Inline, Planned, execute
+from baselines.tests.experiments.conftest import Inline, execute
 from magical.demos import Dataset, DatasetWriter
 from magical.envs.seeds import episode_seed
 from magical.errors import DatasetError, DemonstrationsError
 from magical.evaluation import read_entry
 from magical_baselines.experiments import execution
-from magical_baselines.experiments.demonstrations import prepare_demonstrations
+from magical_baselines.experiments.execution import prepare_demonstrations
 
 
-def test_demonstrations_of_a_dataset(
-    planned: Planned, out: Path, finished: Path, tmp_path: Path
-) -> None:
+def test_demonstrations_of_a_dataset(planned, out, finished, tmp_path):
     with pytest.raises(DatasetError, match="human"):
         execute(planned(demos=str(tmp_path / "human")), out)
     demos = Path(shutil.copytree(finished / "demos" / "expert-3", tmp_path / "human"))
@@ -37,10 +33,8 @@ def test_demonstrations_of_a_dataset(
 
 
 @pytest.mark.posix
-def test_a_signal_ends_the_generation_of_demonstrations(
-    planned: Planned, out: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def signal_then_generate(*args: Any, **kwargs: Any) -> None:
+def test_a_signal_ends_the_generation_of_demonstrations(planned, out, monkeypatch):
+    def signal_then_generate(*args, **kwargs):
         os.kill(os.getpid(), signal.SIGTERM)
         prepare_demonstrations(*args, **kwargs)
 
@@ -51,22 +45,7 @@ def test_a_signal_ends_the_generation_of_demonstrations(
     assert len(Dataset.open(out / "demos" / "expert-3")) == 1
 
 
-def test_perturbed_experts(planned: Planned, out: Path) -> None:
-    change = ("expert_demos = 3", "expert_demos = 3\nperturb = 0.5\nmin_score = 0.5")
-    (run, _) = planned(change)
-    execute([run], out)
-    demos = Dataset.open(out / "demos" / "expert-3-perturb-0.5-min-score-0.5")
-    assert [one.expert_actions is not None for one in demos] == [True] * 3
-    config = json.loads((out / "runs" / run.folder / "config.json").read_text())
-    assert config["demos"] == str(demos.path)
-    assert read_entry(out / "runs" / run.folder).record.demonstrations == (
-        "2 of each task (expert, perturb 0.5, min_score 0.5)"
-    )
-
-
-def test_the_experts_demonstrations_are_added_to_a_dataset(
-    planned: Planned, out: Path, finished: Path, tmp_path: Path
-) -> None:
+def test_the_experts_demonstrations_are_added_to_a_dataset(planned, out, finished, tmp_path):
     theirs = Dataset.open(finished / "demos" / "expert-3")
     writer = DatasetWriter(tmp_path / "human")
     for one in (theirs[2], theirs[1]):
@@ -94,13 +73,11 @@ def test_the_experts_demonstrations_are_added_to_a_dataset(
 
 
 @pytest.mark.parametrize("min_score", [0.0, 0.9])
-def test_interrupted_generation_gives_the_same_demonstrations(
-    planned: Planned, tmp_path: Path, min_score: float
-) -> None:
+def test_interrupted_generation_gives_the_same_demonstrations(planned, tmp_path, min_score):
     class Interrupted(Exception):
         pass
 
-    def interrupt(_: int) -> None:
+    def interrupt(_):
         raise Interrupted
 
     how = f"expert_demos = 3\nperturb = 0.7\nmin_score = {min_score}"

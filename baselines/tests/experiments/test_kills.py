@@ -1,11 +1,10 @@
 """Plans in processes that are killed: nothing is done twice, and the scores stay the same."""
 
 import signal
-from pathlib import Path
 
 import pytest
 
-from baselines.tests.experiments.conftest import TIMEOUT, Planned, reached, running, scores_of
+from baselines.tests.experiments.conftest import TIMEOUT, reached, running, scores_of
 from magical.errors import WorkerDiedError
 from magical.plugins import import_user_module
 from magical.tasks import unregister_task
@@ -15,15 +14,13 @@ from magical_baselines.experiments.status import read_status
 from tests.waiting import soon
 
 
-def records(out: Path) -> dict[str, tuple[int, int]]:
+def records(out):
     """The final records, told from those written again by inode and time."""
     found = {path.parent.name: path.stat() for path in out.glob("runs/*/result.json")}
     return {name: (status.st_ino, status.st_mtime_ns) for name, status in found.items()}
 
 
-def test_a_plan_that_is_killed_goes_on_with_the_same_scores(
-    tiny: Path, finished: Path, out: Path
-) -> None:
+def test_a_plan_that_is_killed_goes_on_with_the_same_scores(tiny, finished, out):
     before: dict[str, tuple[int, int]] = {}
     for moment in (3, 9):  # in the first run, in the second
         with running(tiny, out) as process:
@@ -38,7 +35,7 @@ def test_a_plan_that_is_killed_goes_on_with_the_same_scores(
 
 
 @pytest.mark.posix
-def test_sigterm_leaves_a_checkpoint_and_exits_130(tiny: Path, planned: Planned, out: Path) -> None:
+def test_sigterm_leaves_a_checkpoint_and_exits_130(tiny, planned, out):
     folder = out / "runs" / planned()[0].folder
     with running(tiny, out) as process:
         assert reached(out, 1)
@@ -59,9 +56,7 @@ TASK = replace(get_task("MoveToRegion"), name="DriveHere", section="")
 
 
 @pytest.mark.posix
-def test_a_process_that_is_killed_is_named_and_others_go_on(
-    planned: Planned, out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_process_that_is_killed_is_named_and_others_go_on(planned, out, tmp_path, monkeypatch):
     (tmp_path / "task_for_a_plan.py").write_text(OUTSIDE)
     monkeypatch.syspath_prepend(tmp_path)
     import_user_module("task_for_a_plan")  # known in the process, too

@@ -1,7 +1,6 @@
 """Plans on a local Ray cluster of two worker processes."""
 
 import signal
-from pathlib import Path
 
 import pytest
 
@@ -9,23 +8,21 @@ pytest.importorskip("ray", reason="the extra ray is not installed")
 
 from ray.cluster_utils import Cluster
 
-from baselines.tests.experiments.conftest import TIMEOUT, Planned, reached, running, scores_of
-from magical_baselines.experiments.cluster import RayTasks, pack, unpack
+from baselines.tests.experiments.conftest import TIMEOUT, reached, running, scores_of
+from magical_baselines.experiments.cluster import RayTasks
 from magical_baselines.experiments.execution import execute
 from magical_baselines.experiments.plan import PlannedReference
 from magical_baselines.experiments.status import read_status
 
 
 @pytest.fixture(autouse=True)
-def no_usage_statistics(monkeypatch: pytest.MonkeyPatch) -> None:
+def no_usage_statistics(monkeypatch):
     """Nothing is sent anywhere."""
     monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
 
 
 @pytest.mark.parametrize("shared", [True, False])
-def test_the_scores_are_those_of_local_processes(
-    planned: Planned, out: Path, finished: Path, shared: bool
-) -> None:
+def test_the_scores_are_those_of_local_processes(planned, out, finished, shared):
     runs, tasks = planned(), RayTasks(out, None, 2, 0)
     if not shared:
         tasks.marker.rmdir()  # as if a node saw another folder
@@ -37,7 +34,7 @@ def test_the_scores_are_those_of_local_processes(
 
 
 @pytest.mark.posix
-def test_sigterm_leaves_checkpoints(tiny: Path, planned: Planned, out: Path) -> None:
+def test_sigterm_leaves_checkpoints(tiny, planned, out):
     # With --workers in a cluster of its own, whatever else runs on this machine.
     with running(tiny, out, "--executor", "ray") as process:
         assert reached(out, 1)
@@ -47,7 +44,7 @@ def test_sigterm_leaves_checkpoints(tiny: Path, planned: Planned, out: Path) -> 
     assert read_status(out).counts["failed"] == 0
 
 
-def test_a_dead_cluster_is_no_failure_of_its_runs(tiny: Path, out: Path) -> None:
+def test_a_dead_cluster_is_no_failure_of_its_runs(tiny, out):
     cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
     try:
         with running(tiny, out, "--address", cluster.address) as process:
@@ -57,14 +54,3 @@ def test_a_dead_cluster_is_no_failure_of_its_runs(tiny: Path, out: Path) -> None
     finally:
         cluster.shutdown()
     assert read_status(out).counts["failed"] == 0
-
-
-def test_a_packed_folder_replaces_an_older_one(tmp_path: Path) -> None:
-    for name, text in (("a", "new"), ("b", "old")):
-        (tmp_path / name / "deep").mkdir(parents=True)
-        (tmp_path / name / "deep" / f"{text}.txt").write_text(text)
-        (tmp_path / name / ".lock").touch()
-    unpack(pack(tmp_path / "a"), tmp_path / "b")
-    found = sorted(path.relative_to(tmp_path / "b").as_posix() for path in tmp_path.glob("b/**/*"))
-    assert found == ["deep", "deep/new.txt"]
-    assert {path.name for path in tmp_path.iterdir()} == {"a", "b"}

@@ -28,7 +28,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from magical_baselines.algorithms.chunks import (
+from magical_baselines.algorithms.cloning import (
     ACTION_SIZES,
     QUICK,
     ChunkConfig,
@@ -114,7 +114,6 @@ class StyleEncoder(nn.Module):
         self.moments = nn.Linear(WIDTH, 2 * LATENT_SIZE)
 
     def forward(self, batch: Chunks) -> tuple[Tensor, Tensor]:
-        """See the class."""
         actions = batch.actions
         if not actions.is_floating_point():
             actions = functional.one_hot(actions, self.action_size).float()
@@ -152,7 +151,6 @@ class ACTPolicy(ChunkPolicy):
 
     @property
     def ensemble_decay(self) -> float | None:
-        """See `ChunkPolicy`."""
         return ENSEMBLE_DECAY if self.config.ensemble else None
 
 

@@ -19,6 +19,7 @@ from torch.optim import Adam
 
 from magical.errors import InvalidConfigError
 from magical.scene import NUM_ACTIONS
+from magical_baselines.algorithms.gail import sample_batch
 from magical_baselines.algorithms.ppo import (
     PUBLISHED_CODE,
     QUICK,
@@ -35,10 +36,9 @@ from magical_baselines.config import (
     augment_option,
     option,
 )
-from magical_baselines.data import ExpertData, load_demonstrations
+from magical_baselines.data import ExpertData, RecentRollouts, load_demonstrations
 from magical_baselines.models import Trunk
-from magical_baselines.replay import RecentRollouts
-from magical_baselines.rollouts import Metrics, RewardNormaliser
+from magical_baselines.rollouts import RewardNormaliser
 from magical_baselines.training import Averages, Purpose, Run, gradient_step, seeded_init, stream
 
 AUTOENCODER_INIT = 1  # number of the initialisation; the policy's is 0
@@ -100,7 +100,6 @@ class ALConfig(DemonstrationConfig, ReinforcementConfig):
 
     @property
     def num_updates(self) -> int:
-        """The number of pretraining batches and policy updates."""
         return self.pretraining_batches + self.policy_updates
 
 
@@ -123,7 +122,33 @@ def train(config: ALConfig, run: Run) -> None:
         if not pretrain(config, run, expert, autoencoder, optimizer):
             return
         autoencoder.eval().requires_grad_(False)
-        imitate(config, run, ppo, expert, novice, autoencoder, normaliser)
+
+        def encode(images: Tensor, actions: Tensor) -> Tensor:
+            with torch.no_grad(), run.compute.autocast():
+                features: Tensor = autoencoder.encoder(images, actions)
+            return features.float()
+
+        for update in ppo.remaining_updates():
+            # Collect a rollout.
+            rollout = ppo.collect_rollout(update)
+            with ppo.monitor.timed("features"):
+                novice.add(rollout.observations, rollout.actions)
+                # Compute w from features of both, and the rewards.
+                batch = sample_features_batch(config, expert, novice, update)
+                chunks = zip(*(torch.split(part, CHUNK) for part in batch), strict=True)
+                features = torch.cat([encode(images, actions) for images, actions in chunks])
+                if config.published:  # batch norm's statistics adapt to the novice's images
+                    autoencoder.train()
+                    encode(*(torch.cat([p[:PASSED] for p in part.chunk(2)]) for part in batch))
+                    autoencoder.eval()
+                w, distance = feature_weights(*features.chunk(2))
+                pairs = zip(rollout.observations, rollout.actions, strict=True)
+                raw = torch.stack([encode(to_unit(o), a) @ w for o, a in pairs])  # (T, N)
+            # Update the policy.
+            metrics = ppo.improve_policy(update, rollout, raw, normaliser)
+            metrics["feature_distance"] = distance.item()
+            if ppo.finish_update(update, metrics):
+                break
 
 
 def pretrain(
@@ -136,7 +161,7 @@ def pretrain(
     for number in range(run.step, config.pretraining_batches):
         rng = stream(config.seed, Purpose.PRETRAINING, number)
         rows = expert.sample_counts([config.pretraining_batch_size], rng)
-        images, (actions, _) = expert.augmented(rows, augmentations, rng), expert.labels(rows)
+        images, (actions, _) = augment(expert.images(rows), augmentations, rng), expert.labels(rows)
         with run.compute.autocast():
             reconstructed, logits = autoencoder(images, actions)
         image_error, action_loss = autoencoder_loss(images, actions, reconstructed, logits)
@@ -149,60 +174,14 @@ def pretrain(
     return True
 
 
-def imitate(
-    config: ALConfig,
-    run: Run,
-    ppo: PPOTrainer,
-    expert: ExpertData,
-    novice: RecentRollouts,
-    autoencoder: "Autoencoder",
-    normaliser: RewardNormaliser,
-) -> None:
-    """Alternate between computing w and updating the policy."""
-
-    def encode(images: Tensor, actions: Tensor) -> Tensor:
-        with torch.no_grad(), run.compute.autocast():
-            features: Tensor = autoencoder.encoder(images, actions)
-        return features.float()
-
-    for update in ppo.remaining_updates():
-        # Collect a rollout.
-        rollout = ppo.collect_rollout(update)
-        with ppo.monitor.timed("features"):
-            novice.add(rollout.observations, rollout.actions)
-            # Compute w from features of both, and the rewards.
-            rng = stream(config.seed, Purpose.DISCRIMINATOR, update)
-            batch = sample_batch(config, expert, novice, rng)
-            chunks = zip(*(torch.split(part, CHUNK) for part in batch), strict=True)
-            features = torch.cat([encode(images, actions) for images, actions in chunks])
-            if config.published:  # batch norm's statistics adapt to the novice's images
-                autoencoder.train()
-                encode(*(torch.cat([p[:PASSED] for p in part.chunk(2)]) for part in batch))
-                autoencoder.eval()
-            w, distance = feature_weights(*features.chunk(2))
-            pairs = zip(rollout.observations, rollout.actions, strict=True)
-            raw = torch.stack([encode(to_unit(o), a) @ w for o, a in pairs])  # (T, N)
-            rewards = normaliser(raw, rollout.tasks)
-        # Update the policy.
-        metrics: Metrics = ppo.improve_policy(update, rollout, rewards)
-        metrics |= {
-            "raw_reward": raw.mean().item(),
-            "raw_reward_std": raw.std(correction=0).item(),
-            "feature_distance": distance.item(),
-        }
-        if ppo.finish_update(update, metrics):
-            break
-
-
-def sample_batch(
-    config: ALConfig, expert: ExpertData, novice: RecentRollouts, rng: np.random.Generator
+def sample_features_batch(
+    config: ALConfig, expert: ExpertData, novice: RecentRollouts, update: int
 ) -> tuple[Tensor, Tensor]:
     """Images and actions to compute w from: the expert's, then as many of the novice's."""
-    rows = expert.sample_counts([config.feature_samples], rng)
-    novice_images, novice_actions, _ = novice.sample([config.feature_samples], rng)
-    images = torch.cat([expert.images(rows), novice_images])
+    rng = stream(config.seed, Purpose.DISCRIMINATOR, update)
+    batch = sample_batch(expert, novice, [config.feature_samples], rng)
     augmentations = config.augmentations(config.augment if config.published else "none")
-    return augment(images, augmentations, rng), torch.cat([expert.labels(rows)[0], novice_actions])
+    return augment(batch.images, augmentations, rng), batch.actions
 
 
 def feature_weights(expert: Tensor, novice: Tensor) -> tuple[Tensor, Tensor]:

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
+import numpy as np
 from msgspec import Meta
 from torch import Tensor
 from torch.nn import functional
@@ -11,6 +12,8 @@ from torch.optim import SGD, Adam
 
 from magical.errors import InvalidConfigError
 from magical.observe import STATE
+from magical_baselines.algorithms.cloning import Cloning
+from magical_baselines.augmentation.augment import augment
 from magical_baselines.config import (
     IMAGE_OBSERVATIONS,
     Algorithm,
@@ -20,17 +23,9 @@ from magical_baselines.config import (
     augment_option,
     option,
 )
-from magical_baselines.data import ExpertData, TaskTrajectories, load_demonstrations
+from magical_baselines.data import ExpertData, load_demonstrations
 from magical_baselines.models import PolicyNetwork, Trunk, init_normal
-from magical_baselines.training import (
-    Purpose,
-    Run,
-    anneal,
-    fit,
-    gradient_step,
-    seeded_init,
-    stream,
-)
+from magical_baselines.training import Run, seeded_init
 
 ADAM_BETA_2 = 0.999
 
@@ -78,79 +73,38 @@ class Batch(NamedTuple):
     tasks: Tensor  # (B,) int64
 
 
-def bc_loss(logits: Tensor, actions: Tensor) -> Tensor:
-    """Mean negative log-likelihood of actions (B,) under logits (B, 18): to be minimised."""
-    return functional.cross_entropy(logits.float(), actions)
+def bc_losses(network: PolicyNetwork, batch: Batch) -> dict[str, Tensor]:
+    """The loss to be minimised, the mean negative log-likelihood of the actions; and accuracy."""
+    logits = network(batch.images, batch.tasks)  # (B, 18)
+    loss = functional.cross_entropy(logits.float(), batch.actions)
+    return {"loss": loss, "accuracy": (logits.argmax(dim=1) == batch.actions).float().mean()}
 
 
-def train(config: BCConfig, run: Run) -> None:
-    """Clone the demonstrations."""
-    BCTrainer(config, run).fit(load_demonstrations(config, run))
-
-
-class BCTrainer:
-    """A policy network and its optimiser."""
-
-    def __init__(self, config: BCConfig, run: Run) -> None:
-        """Create a new trainer, or resume from the run's checkpoint."""
-        self.config, self.run, self.compute = config, run, run.compute
-        self.network = make_policy(config).to(self.compute.device)
-        parameters, rate = self.network.parameters(), config.learning_rate
-        self.optimizer = (
-            Adam(parameters, rate, (config.momentum, ADAM_BETA_2), fused=True)
-            if config.optimizer == "adam"
-            else SGD(parameters, rate, config.momentum, fused=True)
-        )
-        run.keep(policy=self.network, optimizer=self.optimizer)
-
-    def fit(
-        self,
-        demonstrations: TaskTrajectories,
-        until: int | None = None,
-        extra_metrics: Mapping[str, float | str] = {},
-    ) -> bool:
-        """Train on all but no-ops, from the run's step to step `until`, by default the last.
-
-        The extra metrics are logged with the others. Returns whether the run stops early.
-        """
-        config = self.config
-        data = ExpertData(
-            demonstrations,
-            config.tasks,
-            config.observation_spec,
-            device=self.compute.device,
-            remove_noops=True,
-        )
-        metrics = {**extra_metrics, "samples": len(data)} if extra_metrics else {}
-        self.network.train()
-        return fit(
-            self.run,
-            lambda number: sample_batch(config, data, number),
-            self.update,
-            until=until,
-            extra_metrics=metrics,
-        )
-
-    def update(self, number: int, batch: Batch) -> dict[str, Tensor]:
-        """Take one optimiser step; returns loss and accuracy."""
-        if self.config.anneal:
-            anneal(self.optimizer, number, self.config.num_updates)
-        with self.compute.autocast():
-            logits = self.network(batch.images, batch.tasks)  # (B, 18)
-        loss = bc_loss(logits, batch.actions)
-        gradient_step(self.optimizer, loss)
-        return {"loss": loss, "accuracy": (logits.argmax(dim=1) == batch.actions).float().mean()}
-
-
-def sample_batch(config: BCConfig, data: ExpertData, number: int) -> Batch:
-    """Batch `number`: depends only on the data, the configuration and the number."""
-    rng = stream(config.seed, Purpose.BATCHES, number)
+def sample_batch(config: BCConfig, data: ExpertData, rng: np.random.Generator) -> Batch:
+    """Sample a batch of augmented images, or of state vectors."""
     rows = data.sample(config.batch_size, rng)
     actions, tasks = data.labels(rows)
     if config.observes_vectors:
         return Batch(data.images(rows), actions, tasks)
-    images = data.augmented(rows, config.augmentations(config.augment), rng)
+    images = augment(data.images(rows), config.augmentations(config.augment), rng)
     return Batch(images, actions, tasks)
+
+
+def make_cloning(config: BCConfig, run: Run) -> Cloning:
+    """The policy network and what trains it."""
+    network = make_policy(config).to(run.compute.device)
+    parameters, rate = network.parameters(), config.learning_rate
+    optimizer = (
+        Adam(parameters, rate, (config.momentum, ADAM_BETA_2), fused=True)
+        if config.optimizer == "adam"
+        else SGD(parameters, rate, config.momentum, fused=True)
+    )
+    return Cloning(config, run, network, optimizer, sample_batch, bc_losses, anneals=config.anneal)
+
+
+def train(config: BCConfig, run: Run) -> None:
+    """Clone the demonstrations."""
+    make_cloning(config, run).fit(load_demonstrations(config, run))
 
 
 def make_policy(config: BCConfig) -> PolicyNetwork:

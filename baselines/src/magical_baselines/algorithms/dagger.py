@@ -14,28 +14,27 @@ The run folder's `aggregate` is an ordinary dataset of the episodes, with the la
 cloning (Table 3), its 20,000 batches split between the rounds.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import dataclass
 from statistics import fmean
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from magical.demos import Dataset, DatasetWriter, Trajectory
 from magical.demos.record import provenance
 from magical.envs import EnvId
 from magical.envs.seeds import sample_training_seeds
 from magical.envs.vector import MagicalVectorEnv
-from magical.errors import InvalidConfigError, RunFolderError
+from magical.errors import InvalidConfigError
 from magical.evaluation import environments
 from magical.evaluation.policy import Policy
 from magical.experts import EpisodeExpert, expert_for, get_planner, strategy_seed
 from magical.runs.sources import EXPERT_LABELS, INTERACTION, TEST_VARIANTS
 from magical.scene import Dynamics
 from magical.tasks.axes import full_variant, short_variant
-from magical_baselines.algorithms.bc import BCConfig, BCTrainer, make_policy
+from magical_baselines.algorithms.bc import BCConfig, make_cloning, make_policy
 from magical_baselines.config import (
     IMAGE_OBSERVATIONS,
     Algorithm,
@@ -44,7 +43,7 @@ from magical_baselines.config import (
     PositiveInt,
     option,
 )
-from magical_baselines.data import TaskTrajectories, load_demonstrations
+from magical_baselines.data import load_demonstrations
 from magical_baselines.policy import NetworkPolicy
 from magical_baselines.training import Purpose, Run, stream
 
@@ -79,7 +78,6 @@ class DAggerConfig(BCConfig):
 
     @property
     def learned_from(self) -> tuple[str, ...]:
-        """See `Config`."""
         tests = (TEST_VARIANTS,) if set(self.variants) - {"Demo"} else ()
         return (*super().learned_from, INTERACTION, EXPERT_LABELS, *tests)
 
@@ -100,7 +98,6 @@ class DAggerConfig(BCConfig):
 
     @property
     def num_updates(self) -> int:
-        """The batches of all rounds."""
         return self.rounds * self.batches
 
     @property
@@ -109,19 +106,14 @@ class DAggerConfig(BCConfig):
         found = [environments([task], self.variants) for task in self.tasks]
         return [ids[i % len(ids)] for ids in found for i in range(self.episodes)]
 
-    def beta(self, number: int) -> float:
-        """The probability of taking the expert's action in a round; 1 for the demonstrations."""
-        return float(self.beta_decay**number)
-
 
 def train(config: DAggerConfig, run: Run) -> None:
     """Alternate between collecting labelled episodes and behavioural cloning."""
     demonstrations = load_demonstrations(config, run)
-    trainer = BCTrainer(config, run)
-    aggregated = AggregatedDataset(config, run)
-    run.keep(aggregate=aggregated)
+    cloning = make_cloning(config, run)
     if run.step == config.num_updates:
         return
+    writer, per_round = DatasetWriter(run.folder / AGGREGATE), len(config.env_ids)
     with closing(
         MagicalVectorEnv(
             config.env_ids,
@@ -132,13 +124,26 @@ def train(config: DAggerConfig, run: Run) -> None:
         )
     ) as envs:
         for number in range(run.step // config.batches, config.rounds):
-            if aggregated.rounds < number:
+            beta = float(config.beta_decay**number)
+            # A run that was killed has left episodes of this round, which are the same again.
+            stored = len(Dataset.open(writer.path))
+            if stored < number * per_round:
                 rng = stream(config.seed, Purpose.ENVIRONMENTS, number)
-                policy = NetworkPolicy(trainer.network, config, trainer.compute)
-                beta = config.beta(number)
+                policy = NetworkPolicy(cloning.network, config, run.compute)
                 labelled = collect_labelled(envs, policy, beta, rng, round=number)
-                aggregated.add_round(labelled)
-            if train_round(config, number, trainer, demonstrations, aggregated):
+                for episode in labelled[stored % per_round :]:
+                    writer.append(episode)
+            aggregate = Dataset.open(writer.path)[: number * per_round]
+            tasks = [entry.task for entry in aggregate.entries]
+            learned = (*demonstrations, *zip(tasks, aggregate, strict=True))
+            metrics = {
+                "round": number,
+                "expert_share": beta,
+                "labels": sum(len(trajectory) for _, trajectory in learned),  # no-ops included
+            }
+            if number:
+                metrics["score"] = fmean(e.final_score for e in aggregate.entries[-per_round:])
+            if cloning.fit(learned, (number + 1) * config.batches, metrics):
                 break
 
 
@@ -160,7 +165,24 @@ def collect_labelled(
         EpisodeExpert(expert_for(env_id.task, seed=strategy_seed(env_id.variant, seed)))
         for env_id, seed in zip(envs.env_ids, seeds, strict=True)
     ]
-    taken, labels, tables = _act(envs, observations, policy, experts, beta, rng)
+    bodies, actions, wanted = [envs.bodies[0].copy()], [], []
+    active = np.ones(count, np.bool_)
+    while active.any():
+        expert_actions = [
+            expert.act(state) if is_active else 0
+            for expert, state, is_active in zip(experts, envs.states(), active, strict=True)
+        ]
+        policy_actions = np.asarray(policy.act(observations, envs.env_ids, rng))
+        is_experts = rng.random(count) < beta
+        executed = np.where(is_experts, expert_actions, policy_actions)  # (N,)
+        for expert, action in zip(experts, executed.tolist(), strict=True):
+            expert.note_executed(action)
+        observations, _, _, truncated, _ = envs.step(executed, active)
+        active &= ~truncated
+        bodies.append(envs.bodies[0].copy())
+        actions.append(executed)
+        wanted.append(expert_actions)
+    taken, labels, tables = np.array(actions), np.array(wanted), np.stack(bodies)
     metadata = {"expert_share": beta, **remarks, **provenance()}
     counts = envs.bodies[1].tolist()
     return [
@@ -177,108 +199,6 @@ def collect_labelled(
         )
         for row, state in enumerate(envs.states())
     ]
-
-
-def _act(
-    envs: MagicalVectorEnv,
-    observations: Any,
-    policy: Policy,
-    experts: Sequence[EpisodeExpert],
-    beta: float,
-    rng: np.random.Generator,
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
-    """The actions taken (T, N), the experts' (T, N), and bodies (T + 1, N, max bodies, 6)."""
-    bodies, taken, labels = [envs.bodies[0].copy()], [], []
-    active = np.ones(envs.num_envs, np.bool_)
-    while active.any():
-        expert_actions = [
-            expert.act(state) if is_active else 0
-            for expert, state, is_active in zip(experts, envs.states(), active, strict=True)
-        ]
-        policy_actions = np.asarray(policy.act(observations, envs.env_ids, rng))
-        is_experts = rng.random(envs.num_envs) < beta
-        actions = np.where(is_experts, expert_actions, policy_actions)  # (N,)
-        for expert, action in zip(experts, actions.tolist(), strict=True):
-            expert.note_executed(action)
-        observations, _, _, truncated, _ = envs.step(actions, active)
-        active &= ~truncated
-        bodies.append(envs.bodies[0].copy())
-        taken.append(actions)
-        labels.append(expert_actions)
-    return np.array(taken), np.array(labels), np.stack(bodies)
-
-
-def train_round(
-    config: DAggerConfig,
-    number: int,
-    trainer: BCTrainer,
-    demonstrations: TaskTrajectories,
-    aggregated: "AggregatedDataset",
-) -> bool:
-    """Train on everything labelled so far; true if the run stops in this round."""
-    episodes = aggregated.until(number)
-    entries = episodes.entries
-    labelled = (*demonstrations, *zip((entry.task for entry in entries), episodes, strict=True))
-    metrics = {
-        "round": number,
-        "expert_share": config.beta(number),
-        "labels": sum(len(trajectory) for _, trajectory in labelled),  # before removing no-ops
-    }
-    if number:
-        metrics["score"] = fmean(e.final_score for e in entries[-len(config.env_ids) :])
-    return trainer.fit(labelled, (number + 1) * config.batches, metrics)
-
-
-class AggregatedDataset:
-    """The labelled episodes of a run on disk, in the order of their rounds."""
-
-    def __init__(self, config: DAggerConfig, run: Run) -> None:
-        """Create or open the dataset."""
-        self._per_round = len(config.env_ids)
-        # There may be one more round, complete or partial, if the run ended while collecting it.
-        self._at_most = self._per_round * min(run.step // config.batches + 1, config.rounds - 1)
-        self.folder = run.folder / AGGREGATE
-        self._writer = DatasetWriter(self.folder)
-        self._dataset = Dataset.open(self.folder)
-        self._used = 0  # episodes that the policy has learned from
-        if not run.saved:
-            self.load_state_dict({"sha256": []})
-
-    def state_dict(self) -> dict[str, Any]:
-        """The digests of the episodes that the policy has learned from."""
-        return {"sha256": [entry.fingerprint for entry in self._dataset.entries[: self._used]]}
-
-    def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Check that the folder has the episodes of a checkpoint.
-
-        Raises:
-            RunFolderError: the episodes are not those that the checkpoint was trained on.
-        """
-        expected = list(state["sha256"])
-        found = [entry.fingerprint for entry in self._dataset.entries]
-        if found[: len(expected)] != expected or len(found) > self._at_most:
-            raise RunFolderError(
-                f"{self.folder}: expected the {len(expected)} episodes that the checkpoint was "
-                f"learned from, found {len(found)} or others; restore the folder from a "
-                "copy, or begin another run"
-            )
-        self._used = len(expected)
-
-    @property
-    def rounds(self) -> int:
-        """The number of complete rounds."""
-        return len(self._dataset) // self._per_round
-
-    def add_round(self, episodes: Sequence[Trajectory]) -> None:
-        """Store the episodes of a round, except those already stored before an interruption."""
-        for episode in episodes[len(self._dataset) % self._per_round :]:
-            self._writer.append(episode)
-        self._dataset = Dataset.open(self.folder)
-
-    def until(self, number: int) -> Dataset:
-        """The episodes of rounds 1 to `number`, to learn from; later ones may be stored, too."""
-        self._used = number * self._per_round
-        return self._dataset[: self._used]
 
 
 ALGORITHM = Algorithm(DAggerConfig, train, make_policy)

@@ -25,7 +25,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from magical.errors import InvalidConfigError
-from magical_baselines.algorithms.chunks import (
+from magical_baselines.algorithms.cloning import (
     ACTION_SIZES,
     QUICK,
     ChunkConfig,
@@ -69,7 +69,6 @@ class DiffusionConfig(ChunkConfig):
 
     @property
     def action_space(self) -> Literal["continuous"]:
-        """See `Config`."""
         return "continuous"
 
 
@@ -118,7 +117,6 @@ class Denoiser(nn.Module):
         self.last = nn.Conv1d(CHANNELS, ACTION_SIZE, 1)
 
     def forward(self, noisy: Tensor, levels: Tensor, features: Tensor) -> Tensor:
-        """See the class."""
         condition = torch.cat([features, self.level(_sinusoidal(levels, features))], dim=1)
         hidden = self.first(noisy.mT)
         for block in self.blocks:
@@ -189,7 +187,6 @@ class DiffusionPolicy(ChunkPolicy):
     config: DiffusionConfig
 
     def extra_inputs(self, count: int, rng: np.random.Generator) -> Sequence[Tensor]:
-        """See `ChunkPolicy`: the noise (B, K, 3)."""
         noise = rng.standard_normal((count, self.config.chunk, ACTION_SIZE))
         return (torch.from_numpy(noise).float(),)
 

@@ -39,10 +39,9 @@ from magical_baselines.config import (
     augment_option,
     option,
 )
-from magical_baselines.data import ExpertData, load_demonstrations, split_evenly
+from magical_baselines.data import ExpertData, RecentRollouts, load_demonstrations, split_evenly
 from magical_baselines.models import Discriminator, Trunk, init_normal
-from magical_baselines.replay import RecentRollouts
-from magical_baselines.rollouts import Metrics, RewardNormaliser, Rollout
+from magical_baselines.rollouts import RewardNormaliser, Rollout
 from magical_baselines.training import Averages, Purpose, Run, gradient_step, seeded_init, stream
 
 DISCRIMINATOR_INIT = 1  # number of the initialisation; the policy's is 0
@@ -100,8 +99,8 @@ RewardFn = Callable[[Tensor], Tensor]  # logits -> rewards of the same shape
 
 
 def train(config: GAILConfig, run: Run) -> None:
-    """Imitate demonstrations."""
-    train_adversarially(config, run, gail_loss, gail_reward)
+    """Imitate demonstrations; the reward, log D, is at most 0, and high for expert-like samples."""
+    train_adversarially(config, run, gail_loss, functional.logsigmoid)
 
 
 def gail_loss(
@@ -114,11 +113,6 @@ def gail_loss(
     loss = functional.binary_cross_entropy_with_logits(logits, labels)
     accuracy = ((logits > 0) == (labels > 0)).float().mean()
     return loss, {"discriminator_accuracy": accuracy}
-
-
-def gail_reward(logits: Tensor) -> Tensor:
-    """The log-sigmoid of the logits, log D: at most 0, and high for expert-like samples."""
-    return functional.logsigmoid(logits)
 
 
 def train_adversarially(config: AdversarialConfig, run: Run, loss: Loss, reward: RewardFn) -> None:
@@ -141,17 +135,13 @@ def train_adversarially(config: AdversarialConfig, run: Run, loss: Loss, reward:
         )
         augmentations = config.augmentations(config.augment)
         for update in ppo.remaining_updates():
-            # Collect a rollout, and compute its rewards.
+            # Collect a rollout, and compute its rewards by the discriminator.
             rollout = ppo.collect_rollout(update)
             with compute.autocast():
                 logits = rollout_logits(discriminator, rollout)
-            raw = reward(logits.float())
-            metrics: Metrics = {
-                "raw_reward": raw.mean().item(),
-                "raw_reward_std": raw.std(correction=0).item(),
-            }
             # Update the policy.
-            metrics |= ppo.improve_policy(update, rollout, normaliser(raw, rollout.tasks))
+            raw = reward(logits.float())
+            metrics = ppo.improve_policy(update, rollout, raw, normaliser)
             # Update the discriminator.
             with ppo.monitor.timed("discriminator"):
                 novice.add(rollout.observations, rollout.actions)

@@ -38,6 +38,7 @@ import torch
 from torch import Tensor
 
 from magical.errors import InvalidConfigError
+from magical_baselines.augmentation.augment import augment
 from magical_baselines.config import (
     Algorithm,
     DemonstrationConfig,
@@ -48,19 +49,16 @@ from magical_baselines.config import (
     augment_option,
     option,
 )
-from magical_baselines.models import PolicyNetwork, Trunk, centre, sample_actions
-from magical_baselines.replay import (
+from magical_baselines.data import (
+    ExpertData,
     ReplayBuffer,
     Transitions,
-    load_expert_transitions,
-    sample_halves,
+    expert_transitions,
+    load_demonstrations,
+    split_evenly,
 )
-from magical_baselines.rollouts import (
-    EpisodeScores,
-    InteractionConfig,
-    InteractionTrainer,
-    Metrics,
-)
+from magical_baselines.models import PolicyNetwork, Trunk, centre, sample_actions
+from magical_baselines.rollouts import EpisodeScores, InteractionConfig, InteractionTrainer
 from magical_baselines.training import (
     Averages,
     Purpose,
@@ -132,11 +130,59 @@ class IQLearnConfig(DemonstrationConfig, InteractionConfig):
 
 def train(config: IQLearnConfig, run: Run) -> None:
     """Imitate demonstrations."""
-    with IQTrainer(config, run) as iq:
-        for update in iq.remaining_updates():
-            iq.collect(update)
-            metrics = iq.improve(update)
-            if iq.finish_update(update, metrics):
+    expert = ExpertData(
+        load_demonstrations(config, run),
+        config.tasks,
+        config.observation_spec,
+        device=run.compute.device,
+        transitions=True,
+    )
+    network, augmentations = make_policy(config), config.augmentations(config.augment)
+    with InteractionTrainer(config, run, network, config.learning_rate) as trainer:
+        envs, optimizer, monitor = trainer.envs, trainer.optimizer, trainer.monitor
+        target = deepcopy(network).requires_grad_(False)
+        novice = ReplayBuffer(
+            config.observation_spec, expert.frames, config.buffer_size, len(config.tasks)
+        )
+        if not run.keep(target=target, replay_buffer=novice):
+            novice.start(envs.observations())
+        for update in trainer.remaining_updates():
+            # Collect transitions.
+            rng = stream(config.seed, Purpose.ACTIONS, update)
+            uniforms = torch.from_numpy(rng.random((config.num_steps, config.num_envs), "f4"))
+            taken, scores = [], EpisodeScores()
+            with monitor.timed("sample"), torch.no_grad():
+                for t in range(config.num_steps):
+                    with run.compute.autocast():
+                        logits = network(envs.network_input(), envs.tasks)
+                    actions, _ = sample_actions(logits, uniforms[t].to(envs.device))
+                    _, dones, final, ended = envs.step(actions)
+                    novice.add(actions, dones, envs.observations(), final, envs.task_of)
+                    taken.append(actions)
+                    scores += ended
+            monitor.add_rollout(torch.stack(taken), scores)
+            # Update the soft Q function.
+            averages, every = Averages(), config.target_every
+            if config.anneal:
+                anneal(optimizer, update, config.num_updates)
+            rng = stream(config.seed, Purpose.MINIBATCHES, update)
+            with monitor.timed("policy"):
+                for step in range(config.gradient_steps):
+                    if every and (update * config.gradient_steps + step) % every == 0:
+                        target.load_state_dict(network.state_dict())
+                    counts = split_evenly(config.batch_size // 2, len(config.tasks), rng)
+                    halves = expert_transitions(expert, counts, rng), novice.sample(counts, rng)
+                    batch = Transitions(*map(torch.cat, zip(*halves, strict=True)))
+                    before = augment(batch.observations, augmentations, rng)
+                    after = augment(batch.next_observations, augmentations, rng)
+                    with run.compute.autocast():
+                        q = network.q(before, batch.tasks)
+                        next_q = (target if every else network).q(after, batch.tasks)
+                    next_values = soft_value(next_q, config.temperature)
+                    loss, parts = iq_loss(q, next_values, batch, config)
+                    gradient_step(optimizer, loss)
+                    averages.add(1, **parts)
+            if trainer.finish_update(update, {**averages.reset()}):
                 break
 
 
@@ -198,75 +244,6 @@ def make_policy(config: IQLearnConfig) -> QNetwork:
         network = QNetwork(trunk, len(config.tasks), config.temperature)
         centre(network)
         return network
-
-
-class IQTrainer(InteractionTrainer):
-    """A soft Q function, its optimiser, its environments, and the transitions it learns from."""
-
-    config: IQLearnConfig
-    network: QNetwork
-
-    def __init__(self, config: IQLearnConfig, run: Run) -> None:
-        """See `InteractionTrainer`."""
-        super().__init__(config, run, make_policy(config), config.learning_rate)
-        self.target = deepcopy(self.network).requires_grad_(False)
-        self.expert = load_expert_transitions(config, run)
-        self.replay_buffer = ReplayBuffer(
-            config.observation_spec, self.expert.frames, config.buffer_size, len(config.tasks)
-        )
-        self._augmentations = config.augmentations(config.augment)
-
-    def start(self) -> bool:
-        """See `InteractionTrainer`."""
-        restored = super().start()
-        self.run.keep(target=self.target, replay_buffer=self.replay_buffer)
-        if not restored:
-            self.replay_buffer.start(self.envs.observations())
-        return restored
-
-    def collect(self, update: int) -> None:
-        """Step all environments T times with actions sampled from the policy; fill the buffer."""
-        envs, num_steps = self.envs, self.config.num_steps
-        rng = stream(self.config.seed, Purpose.ACTIONS, update)
-        uniforms = torch.from_numpy(rng.random((num_steps, len(envs.tasks)), "f4"))
-        taken, scores = [], EpisodeScores()
-        with self.monitor.timed("sample"), torch.no_grad():
-            for t in range(num_steps):
-                with self.compute.autocast():
-                    logits = self.network(envs.network_input(), envs.tasks)
-                actions, _ = sample_actions(logits, uniforms[t].to(envs.device))
-                _, dones, final, ended = envs.step(actions)
-                self.replay_buffer.add(actions, dones, envs.observations(), final, envs.task_of)
-                taken.append(actions)
-                scores += ended
-        self.monitor.add_rollout(torch.stack(taken), scores)
-
-    def improve(self, update: int) -> Metrics:
-        """Take an update's optimiser steps; returns the means of the logged values."""
-        config, averages = self.config, Averages()
-        if config.anneal:
-            anneal(self.optimizer, update, config.num_updates)
-        rng, every = stream(config.seed, Purpose.MINIBATCHES, update), config.target_every
-        with self.monitor.timed("policy"):
-            for step in range(config.gradient_steps):
-                if every and (update * config.gradient_steps + step) % every == 0:
-                    self.target.load_state_dict(self.network.state_dict())
-                batch = sample_halves(
-                    self.expert, self.replay_buffer, config.batch_size, len(config.tasks), rng
-                )
-                averages.add(1, **self._step(batch.augmented(self._augmentations, rng)))
-        return {**averages.reset()}
-
-    def _step(self, batch: Transitions) -> dict[str, Tensor]:
-        """Take one optimiser step on a batch; returns the values to log."""
-        config = self.config
-        network = self.target if config.target_every else self.network
-        with self.compute.autocast():
-            q = self.network.q(batch.observations, batch.tasks)
-            next_q = network.q(batch.next_observations, batch.tasks)
-        loss, parts = iq_loss(q, soft_value(next_q, config.temperature), batch, config)
-        gradient_step(self.optimizer, loss)
-        return parts
 
 
 ALGORITHM = Algorithm(IQLearnConfig, train, make_policy)

@@ -38,6 +38,7 @@ from magical_baselines.rollouts import (
     InteractionConfig,
     InteractionTrainer,
     Metrics,
+    RewardNormaliser,
     Rollout,
     collect_rollout,
     explained_variance,
@@ -123,7 +124,6 @@ class ReinforcementConfig(InteractionConfig):
 
     @property
     def env_horizon(self) -> Horizon:
-        """See `InteractionConfig`."""
         return "published" if self.horizon == "published" else None
 
     @classmethod
@@ -169,7 +169,6 @@ class PPOConfig(ReinforcementConfig):
 
     @property
     def learned_from(self) -> tuple[str, ...]:
-        """See `Config`."""
         return (*super().learned_from, SCORE)
 
 
@@ -202,7 +201,6 @@ class PPOTrainer(InteractionTrainer):
     network: ActorCritic
 
     def __init__(self, config: ReinforcementConfig, run: Run, reward: Reward = "none") -> None:
-        """See `InteractionTrainer`."""
         super().__init__(config, run, make_policy(config), config.learning_rate, reward)
         # A plug-in's network may wait for the device, which cannot be recorded.
         own = config.network in OWN_NETWORKS
@@ -226,16 +224,38 @@ class PPOTrainer(InteractionTrainer):
         self.monitor.add_rollout(rollout.actions, rollout.scores)
         return rollout
 
-    def improve_policy(self, update: int, rollout: Rollout, rewards: Tensor) -> Metrics:
-        """Train on a rollout with rewards (T, N) for `epochs` passes of minibatch steps."""
-        config, averages = self.config, Averages()
+    def improve_policy(
+        self,
+        update: int,
+        rollout: Rollout,
+        rewards: Tensor,
+        normaliser: RewardNormaliser | None = None,
+    ) -> Metrics:
+        """Train on a rollout with rewards (T, N) for `epochs` passes of minibatch steps.
+
+        Learned rewards are normalised first.
+        """
+        config, averages, metrics = self.config, Averages(), Metrics()
+        if normaliser:
+            metrics["raw_reward"] = rewards.mean().item()
+            metrics["raw_reward_std"] = rewards.std(correction=0).item()
+            rewards = normaliser(rewards, rollout.tasks)
         with self.monitor.timed("policy"):
-            samples = make_samples(
-                rollout, rewards, config.gamma, config.gae_lambda, config.normalise_advantages
-            )
+            advantages = compute_gae(rollout, rewards, config.gamma, config.gae_lambda)
+            returns = advantages + rollout.values
+            if config.normalise_advantages:
+                spread = advantages.std() + ADVANTAGE_EPSILON
+                advantages = (advantages - advantages.mean()) / spread
             # Scaled and converted once instead of in every epoch.
-            observations = self.compute.cast(self.network.trunk.to_range(samples.observations))
-            samples = samples._replace(observations=observations)
+            observations = self.network.trunk.to_range(to_unit(rollout.observations.flatten(0, 1)))
+            samples = Samples(
+                self.compute.cast(observations),
+                rollout.actions.flatten(),
+                rollout.log_probs.flatten(),
+                advantages.flatten(),
+                returns.flatten(),
+                rollout.tasks.repeat(config.num_steps),
+            )
             updates = config.policy_updates
             left = anneal(self.optimizer, update, updates) if config.anneal else 1.0
             clip_range = torch.tensor(config.clip_range * left, device=self.device)
@@ -244,9 +264,10 @@ class PPOTrainer(InteractionTrainer):
             for _ in range(config.epochs):
                 order = torch.from_numpy(shuffle_evenly(tasks, rng)).to(self.device)
                 for rows in torch.split(order, config.minibatch_size):
-                    minibatch = samples.select(rows)
+                    minibatch = (part[rows] for part in samples)
                     averages.add(len(rows), **self._replayed(self._step, clip_range, *minibatch))
         return {
+            **metrics,
             "reward": rewards.mean().item(),
             "reward_std": rewards.std(correction=0).item(),
             **averages.reset(),
@@ -271,28 +292,6 @@ class Samples(NamedTuple):
     advantages: Tensor  # (B,)
     returns: Tensor  # (B,), the value targets
     tasks: Tensor  # (B,) int64
-
-    def select(self, rows: Tensor) -> "Samples":
-        """The minibatch of these rows."""
-        return Samples(*(part[rows] for part in self))
-
-
-def make_samples(
-    rollout: Rollout, rewards: Tensor, gamma: float, gae_lambda: float, normalise: bool
-) -> Samples:
-    """Flatten a rollout, time-major, with the advantages and value targets of rewards (T, N)."""
-    advantages = compute_gae(rollout, rewards, gamma, gae_lambda)
-    returns = advantages + rollout.values
-    if normalise:
-        advantages = (advantages - advantages.mean()) / (advantages.std() + ADVANTAGE_EPSILON)
-    return Samples(
-        to_unit(rollout.observations.flatten(0, 1)),
-        rollout.actions.flatten(),
-        rollout.log_probs.flatten(),
-        advantages.flatten(),
-        returns.flatten(),
-        rollout.tasks.repeat(len(rewards)),
-    )
 
 
 def compute_gae(rollout: Rollout, rewards: Tensor, gamma: float, gae_lambda: float) -> Tensor:

@@ -25,14 +25,10 @@ from torch.nn import functional
 
 from magical.evaluation.policy import Actions, Mask
 from magical.scene import NOOP, NUM_ACTIONS
-from magical_baselines.algorithms.chunks import (
-    QUICK,
-    ExpertData,
-    SequenceConfig,
-    fit_sequences,
-    masked_mean,
-)
+from magical_baselines.algorithms.cloning import QUICK, SequenceConfig, fit_sequences, masked_mean
+from magical_baselines.augmentation.augment import augment
 from magical_baselines.config import Algorithm, PositiveInt, option
+from magical_baselines.data import ExpertData
 from magical_baselines.models import TaskLinear, Trunk
 from magical_baselines.policy import TrainedPolicy, choose_actions
 from magical_baselines.training import Run, seeded_init
@@ -129,7 +125,6 @@ class MemoryPolicy(TrainedPolicy):
         self._last = np.where(mask, NOOP, self._last)
 
     def act(self, observations: Any, env_ids: Sequence[str], rng: np.random.Generator) -> Actions:
-        """See `TrainedPolicy`."""
         newest = self.outputs(observations, env_ids).float()
         before = torch.from_numpy(self._last)
         self._tokens = torch.cat([self._tokens[:, 1:], newest[:, None]], dim=1)
@@ -148,7 +143,7 @@ def sample_windows(
     ends = data.sample(config.batch_size, rng)
     rows, exist = data.neighbours(ends, np.arange(1 - config.window, 1))
     names = config.augmentations(config.augment)
-    images = data.augmented(rows.ravel(), names, rng, together=config.window)
+    images = augment(data.images(rows.ravel()), names, rng, together=config.window)
     actions, tasks = data.labels(rows)
     previous, has_previous = data.neighbours(rows.ravel(), np.array([-1]))
     before = data.executed[torch.from_numpy(previous[:, 0]).to(data.device)]

@@ -9,7 +9,6 @@ gradient keeps it nearly 1-Lipschitz in the image. The reward is the logit itsel
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -51,18 +50,12 @@ class WGAILGPConfig(AdversarialConfig):
 
 
 def train(config: WGAILGPConfig, run: Run) -> None:
-    """Imitate demonstrations."""
-    loss = partial(
-        critic_loss,
-        penalty_weight=config.penalty_weight,
-        penalty_batch_norm=config.published,
-    )
-    train_adversarially(config, run, loss, critic_reward)
+    """Imitate demonstrations; the reward is the logit itself."""
 
+    def loss(critic: Discriminator, batch: DiscriminatorBatch, rng: np.random.Generator) -> Any:
+        return critic_loss(critic, batch, rng, config.penalty_weight, config.published)
 
-def critic_reward(logits: Tensor) -> Tensor:
-    """The logits themselves: high for expert-like samples, unbounded."""
-    return logits
+    train_adversarially(config, run, loss, lambda logits: logits)
 
 
 def critic_loss(

@@ -15,8 +15,8 @@ from torch.nn.functional import affine_grid, grid_sample
 
 from magical.errors import InvalidConfigError
 from magical.render.renderer import CHANNELS
-from magical_baselines.augmentation.colour import colour_jitter, root_maps
-from magical_baselines.augmentation.kernels import add_noise, resample
+from magical_baselines.augmentation import kernels
+from magical_baselines.augmentation.kernels import Floats
 from magical_baselines.augmentation.names import Augmentations
 
 NOISE_STD = 0.01  # of the range [0, 1]
@@ -27,7 +27,6 @@ MAX_COLOUR_ROTATION = 0.15  # rad in the (a, b) plane
 
 PADDING_MODES = {"mirror": "reflection", "repeat": "border"}  # PyTorch's names
 
-Floats = NDArray[np.float64]
 Parameters = tuple[Floats, Floats, Floats, Floats]  # as of `sample_parameters`
 
 
@@ -86,7 +85,7 @@ def augment_compiled(
     batch, channels, height, width = images.shape
     lightness, hues, angles, shifts = parameters
     out = np.empty((batch, height, width, channels), np.float32)
-    inverses = None
+    inverses = np.empty((0, 2, 3))
     if which.translation or which.rotation:
         maps = inverse_maps(angles, shifts, height, width).numpy()
         half = np.array([width / 2.0, height / 2.0])
@@ -94,11 +93,13 @@ def augment_compiled(
         # From coordinates between -1 and 1 to pixels, whose centres are at whole numbers.
         offset = maps[:, :, 2] * half + (half - 0.5) - linear @ (half - 0.5)
         inverses = np.concatenate([linear, offset[:, :, None]], axis=2)
-    jitter = root_maps(lightness, hues) if which.colour else None
+    jitter = kernels.root_maps(*(lightness, hues) if which.colour else np.empty((2, 0)))
+    levels = np.arange(kernels.LEVELS + 1) / kernels.LEVELS
+    decoded = kernels.decode_gamma(levels) if which.linear_light else levels
     mirror = which.borders == "mirror"
-    resample(images.numpy(), inverses, jitter, which.linear_light, mirror, out)
+    kernels.resample(images.numpy(), inverses, *jitter, decoded, which.linear_light, mirror, out)
     if which.noise:
-        add_noise(out, NOISE_STD, seeds)
+        kernels.add_noise(out, NOISE_STD, seeds)
     return torch.from_numpy(out).permute(0, 3, 1, 2)
 
 
@@ -154,3 +155,43 @@ def inverse_maps(angles: Floats, shifts: Floats, height: int, width: int) -> Ten
     rotation = torch.stack(rows, dim=1).view(-1, 2, 2)
     translation = -2.0 * (rotation @ torch.from_numpy(shifts)[:, :, None])
     return torch.cat([rotation, translation], dim=2)
+
+
+def _encode_gamma(linear: Tensor) -> Tensor:
+    curve = kernels.GAMMA_SCALE * linear ** (1.0 / kernels.GAMMA) - kernels.GAMMA_OFFSET
+    return torch.where(linear > kernels.GAMMA_KNEE, curve, kernels.GAMMA_SLOPE * linear)
+
+
+def _to_roots(values: Tensor) -> Tensor:
+    line = kernels.ROOT_OF_KNEE + kernels.ROOT_SLOPE * (values - kernels.ROOT_KNEE)
+    return torch.where(values > kernels.ROOT_KNEE, values ** (1.0 / 3.0), line)
+
+
+def _from_roots(roots: Tensor) -> Tensor:
+    line = kernels.ROOT_KNEE + (roots - kernels.ROOT_OF_KNEE) / kernels.ROOT_SLOPE
+    return torch.where(roots > kernels.ROOT_OF_KNEE, roots * roots * roots, line)
+
+
+def colour_jitter(
+    images: Tensor, scales: Floats, hues: Floats, linear_light: bool = True
+) -> Tensor:
+    """Scale the lightness and rotate the (a, b) plane of each stack of frames.
+
+    Args:
+        images: (B, 3 * frames, H, W) float sRGB in [0, 1].
+        scales: (B,) factors for L.
+        hues: (B,) angles in radians, from a towards b.
+        linear_light: decode sRGB to linear light before the conversion to XYZ, as the definition
+            of XYZ requires, and encode it afterwards.
+
+    Returns:
+        Images of the same shape, clamped to [0, 1]; all frames of a stack are changed alike.
+    """
+    arrays = kernels.TO_TRISTIMULUS, kernels.FROM_TRISTIMULUS, *kernels.root_maps(scales, hues)
+    to_xyz, from_xyz, matrices, offsets = (torch.from_numpy(array).to(images) for array in arrays)
+    linear = kernels.decode_gamma(images) if linear_light else images
+    colours = linear.reshape(len(images), -1, 3, images.shape[2] * images.shape[3])
+    roots = _to_roots(to_xyz @ colours)  # (B, frames, 3, H * W)
+    changed = from_xyz @ _from_roots(matrices[:, None] @ roots + offsets[:, None, :, None])
+    out = _encode_gamma(changed) if linear_light else changed
+    return out.clamp(0.0, 1.0).reshape(images.shape)

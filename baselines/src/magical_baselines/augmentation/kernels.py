@@ -1,11 +1,17 @@
 """Compiled augmentation of 8-bit frame stacks on a CPU: one pass over a stack, then its noise.
 
+In CIE 1976 Lab both lightness and the (a, b) plane are linear in the three cube roots of the
+normalised XYZ values, so scaling L and rotating (a, b) is one affine map of these roots: Lab itself
+is never computed. Source: appendix B, "Colour jitter"; sRGB as in IEC 61966-2-1, white point D65
+for the 2 degree observer.
+
 Noise is several times faster than from a general-purpose generator: each normal number is looked up
 in a table by 14 random bits, and the table holds quantiles of the normal distribution, scaled to a
 variance of exactly 1. The bits come from SplitMix64 (Steele, Lea and Flood, "Fast splittable
 pseudorandom number generators", OOPSLA 2014), four numbers per output.
 """
 
+import math
 from functools import cache, partial
 from statistics import NormalDist
 from typing import Any
@@ -15,19 +21,6 @@ from numpy.typing import NDArray
 
 from magical.compiled import inlined, kernel
 from magical.render.renderer import CHANNELS
-from magical_baselines.augmentation.colour import (
-    FROM_TRISTIMULUS,
-    GAMMA,
-    GAMMA_KNEE,
-    GAMMA_OFFSET,
-    GAMMA_SCALE,
-    GAMMA_SLOPE,
-    ROOT_KNEE,
-    ROOT_OF_KNEE,
-    ROOT_SLOPE,
-    TO_TRISTIMULUS,
-    decode_gamma,
-)
 
 LEVELS = 255  # of 8-bit pixels
 SLOTS = 2048  # of the table of jittered colours: frames have a few hundred colours
@@ -42,42 +35,62 @@ Floats32 = NDArray[np.float32]
 Packed = NDArray[np.int32]
 
 
-def resample(
-    images: NDArray[np.uint8],
-    inverses: Floats | None,
-    jitter: tuple[Floats, Floats] | None,
-    linear_light: bool,
-    mirror: bool,
-    out: Floats32,
-) -> None:
-    """Jitter the colours of each stack, then rotate and translate it.
+# Linear sRGB to XYZ, and the white point it is divided by.
+SRGB_TO_XYZ = np.array(
+    [[0.412453, 0.357580, 0.180423], [0.212671, 0.715160, 0.072169], [0.019334, 0.119193, 0.950227]]
+)
+WHITE = np.array([0.95047, 1.0, 1.08883])
+TO_TRISTIMULUS = SRGB_TO_XYZ / WHITE[:, None]  # linear sRGB to XYZ relative to white
+FROM_TRISTIMULUS = np.linalg.inv(TO_TRISTIMULUS)
 
-    Args:
-        images: (B, C, H, W) uint8, of any memory layout.
-        inverses: (B, 2, 3) affine maps from pixels (column, row) of the result to positions in the
-            image, or None for no rotation and translation.
-        jitter: matrices (B, 3, 3) and offsets (B, 3) as of `root_maps`, or None.
-        linear_light: decode sRGB before the jitter, and encode it afterwards.
-        mirror: mirror the image beyond its borders; otherwise repeat its outermost pixels.
-        out: (B, H, W, C) float32, the results, bilinearly interpolated, in [0, 1].
+# L = 116 fy - 16, a = 500 (fx - fy), b = 200 (fy - fz), with f the (extended) cube roots.
+ROOTS_TO_LAB = np.array([[0.0, 116.0, 0.0], [500.0, -500.0, 0.0], [0.0, 200.0, -200.0]])
+LAB_OFFSET = np.array([-16.0, 0.0, 0.0])
+LAB_TO_ROOTS = np.linalg.inv(ROOTS_TO_LAB)
+
+# Near black, below these arguments, the power functions are replaced by straight lines.
+ROOT_KNEE, ROOT_SLOPE = 0.008856, 7.787
+ROOT_OF_KNEE = math.cbrt(ROOT_KNEE)
+GAMMA, GAMMA_SCALE, GAMMA_OFFSET = 2.4, 1.055, 0.055
+GAMMA_KNEE, GAMMA_SLOPE = 0.0031308, 12.92
+
+
+def _of_roots(in_lab: Floats) -> Floats:
+    """Express a linear map of Lab colours (without the offset) in the cube roots: (3, 3)."""
+    return np.asarray(LAB_TO_ROOTS @ in_lab @ ROOTS_TO_LAB)
+
+
+# A jitter's map is scale * LIGHTNESS + cos(hue) * COSINE + sin(hue) * SINE, plus the offset
+# (scale - 1) * OFFSET.
+LIGHTNESS = _of_roots(np.diag([1.0, 0.0, 0.0]))
+COSINE = _of_roots(np.diag([0.0, 1.0, 1.0]))
+SINE = _of_roots(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]))
+OFFSET = LAB_TO_ROOTS @ LAB_OFFSET
+
+
+def root_maps(scales: Floats, hues: Floats) -> tuple[Floats, Floats]:
+    """The jitter as affine maps of the cube roots: matrices (B, 3, 3) and offsets (B, 3).
+
+    L is multiplied by the scales (B,), and (a, b) turned by the hues (B,) in radians.
     """
-    maps = np.empty((0, 2, 3)) if inverses is None else inverses
-    matrices, offsets = jitter or (np.empty((0, 3, 3)), np.empty((0, 3)))
-    levels = np.arange(LEVELS + 1) / LEVELS
-    decoded = decode_gamma(levels) if linear_light else levels  # (256,)
-    compiled_resample(images, maps, matrices, offsets, decoded, linear_light, mirror, out)
+    scale, cos, sin = (v[:, None, None] for v in (scales, np.cos(hues), np.sin(hues)))
+    return scale * LIGHTNESS + cos * COSINE + sin * SINE, (scales[:, None] - 1.0) * OFFSET
+
+
+def decode_gamma(encoded: Any) -> Any:
+    """Map sRGB values in [0, 1], of an array or a tensor, to linear light."""
+    above = encoded > GAMMA_KNEE * GAMMA_SLOPE
+    curve = ((encoded + GAMMA_OFFSET) / GAMMA_SCALE) ** GAMMA
+    return above * curve + ~above * (encoded / GAMMA_SLOPE)
 
 
 def add_noise(images: Floats32, deviation: float, seeds: NDArray[np.uint64]) -> None:
-    """Add normal noise to every number and clamp the results to [0, 1], in place.
+    """Add normal noise to images (B, ...), C-contiguous, and clamp them to [0, 1], in place.
 
-    Args:
-        images: (B, ...) float32, C-contiguous.
-        deviation: standard deviation.
-        seeds: (B,) uint64, one for each image, whose noise depends on nothing else.
+    The noise of an image has a standard deviation and depends on its seed, of (B,), alone.
     """
     table = (_normal_quantiles() * deviation).astype(np.float32)
-    compiled_add_noise(images.reshape(len(images), -1), table, seeds)
+    _add_noise(images.reshape(len(images), -1), table, seeds)
 
 
 @cache
@@ -109,38 +122,6 @@ def _encode_gamma(linear: float) -> float:
     if linear <= GAMMA_KNEE:
         return line
     return GAMMA_SCALE * float(linear ** (1.0 / GAMMA)) - GAMMA_OFFSET
-
-
-@inlined
-def _jittered(
-    red: int,
-    green: int,
-    blue: int,
-    matrix: Floats,
-    offset: Floats,
-    decoded: Floats,
-    encodes: bool,
-    out: Floats32,
-) -> None:
-    """Write one jittered colour to `out` (3,)."""
-    linear = decoded[red], decoded[green], decoded[blue]
-    roots, mixed = np.empty(CHANNELS), np.empty(CHANNELS)
-    for i in range(CHANNELS):
-        value = 0.0
-        for k in range(CHANNELS):
-            value += TO_TRISTIMULUS[i, k] * linear[k]
-        roots[i] = _to_root(value)
-    for i in range(CHANNELS):
-        value = offset[i]
-        for k in range(CHANNELS):
-            value += matrix[i, k] * roots[k]
-        mixed[i] = _from_root(value)
-    for i in range(CHANNELS):
-        value = 0.0
-        for k in range(CHANNELS):
-            value += FROM_TRISTIMULUS[i, k] * mixed[k]
-        value = _encode_gamma(value) if encodes else value
-        out[i] = min(max(value, 0.0), 1.0)
 
 
 @inlined
@@ -189,15 +170,31 @@ def _jitter(
 ) -> None:
     """Write jittered colours (n,) to `pixels` (n, 3); the tables cache them by hash."""
     keys[:] = -1
-    for i in range(len(packed)):
-        key = packed[i]
+    roots, mixed = np.empty(CHANNELS), np.empty(CHANNELS)
+    for n in range(len(packed)):
+        key = packed[n]
         slot = np.int64(key) * MULTIPLIER >> 16 & SLOTS - 1
         if keys[slot] != key:
             keys[slot] = key
-            red, green, blue = key & LEVELS, key >> 8 & LEVELS, key >> 16
-            _jittered(red, green, blue, matrix, offset, decoded, encodes, values[slot])
+            linear = decoded[key & LEVELS], decoded[key >> 8 & LEVELS], decoded[key >> 16]
+            for i in range(CHANNELS):
+                value = 0.0
+                for k in range(CHANNELS):
+                    value += TO_TRISTIMULUS[i, k] * linear[k]
+                roots[i] = _to_root(value)
+            for i in range(CHANNELS):
+                value = offset[i]
+                for k in range(CHANNELS):
+                    value += matrix[i, k] * roots[k]
+                mixed[i] = _from_root(value)
+            for i in range(CHANNELS):
+                value = 0.0
+                for k in range(CHANNELS):
+                    value += FROM_TRISTIMULUS[i, k] * mixed[k]
+                value = _encode_gamma(value) if encodes else value
+                values[slot, i] = min(max(value, 0.0), 1.0)
         for k in range(CHANNELS):
-            pixels[i, k] = values[slot, k]
+            pixels[n, k] = values[slot, k]
 
 
 @partial(inlined, fastmath={"contract"})  # a product and a sum may be rounded once together
@@ -226,7 +223,7 @@ def _warp(pixels: Floats32, inverse: Floats, mirror: bool, out: Floats32) -> Non
 
 
 @kernel
-def compiled_resample(
+def resample(
     images: Any,
     inverses: Floats,
     matrices: Floats,
@@ -236,7 +233,19 @@ def compiled_resample(
     mirror: bool,
     out: Floats32,
 ) -> None:
-    """See `resample`; empty `inverses` mean no warp, empty `matrices` no jitter."""
+    """Jitter the colours of each stack, then rotate and translate it.
+
+    Args:
+        images: (B, C, H, W) uint8, of any memory layout.
+        inverses: (B, 2, 3) affine maps from pixels (column, row) of the result to positions in the
+            image; empty for no rotation and translation.
+        matrices: (B, 3, 3) of `root_maps`; empty for no jitter.
+        offsets: (B, 3) of `root_maps`.
+        decoded: (256,) linear light of each level, or the levels themselves.
+        encodes: encode sRGB after the jitter, as the levels have been decoded.
+        mirror: mirror the image beyond its borders; otherwise repeat its outermost pixels.
+        out: (B, H, W, C) float32, the results, bilinearly interpolated, in [0, 1].
+    """
     channels, height, width = images.shape[1:]
     own = np.empty((height * width, channels), np.float32)
     packed = np.empty((height * width, channels // CHANNELS), np.int32)
@@ -262,8 +271,7 @@ def _mixed(state: np.uint64) -> np.uint64:
 
 
 @kernel
-def compiled_add_noise(rows: Floats32, table: Floats32, seeds: NDArray[np.uint64]) -> None:
-    """See `add_noise`: rows (B, n), a table of noise, seeds (B,)."""
+def _add_noise(rows: Floats32, table: Floats32, seeds: NDArray[np.uint64]) -> None:
     noise = np.empty(CHUNK, np.float32)
     last, zero, one = np.uint64(len(table) - 1), np.float32(0.0), np.float32(1.0)
     for b in range(len(rows)):

@@ -29,10 +29,8 @@ SETS = {
 def parse_augmentations(text: str) -> Augmentations:
     """Parse one of `SETS`, or names joined by `+`, such as `noise+rotation`.
 
-    `no-trans-rot` and `none` are "no trans./rot. aug." and "no aug." in the paper's tables.
-
-    Raises:
-        UnknownNameError: a name is unknown.
+    `no-trans-rot` and `none` are "no trans./rot. aug." and "no aug." in the paper's tables. Raises
+    `UnknownNameError`.
     """
     if text in SETS:
         return SETS[text]

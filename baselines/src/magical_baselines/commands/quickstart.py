@@ -6,6 +6,7 @@ pixels; its policies, the expert and a random policy are evaluated on all varian
 """
 
 import argparse
+from collections import defaultdict
 from dataclasses import replace
 from pathlib import Path
 from statistics import mean
@@ -103,13 +104,14 @@ def _report(args: argparse.Namespace, plan: "Plan") -> int:
 
 def _conclusions(plan: "Plan", entries: "list[Entry]") -> list[str]:
     """What was learned, and where it fails, in a sentence each."""
-    from magical.grouping import group_by
     from magical.tasks.axes import CHANGED, DEMO, short_variant
 
     (learner, *_), (expert, random) = (method.name for method in plan.methods), plan.references
-    rows = [(entry.method, row) for entry in entries for row in entry.scores]
-    groups = group_by(rows, lambda pair: (pair[0], pair[1].env_id.task, pair[1].env_id.variant))
-    means = {key: mean(row.score for _, row in group) for key, group in groups.items()}
+    scores: dict[tuple[str, str, str], list[float]] = defaultdict(list)
+    for entry in entries:
+        for row in entry.scores:
+            scores[entry.method, row.env_id.task, row.env_id.variant].append(row.score)
+    means = {key: mean(found) for key, found in scores.items()}
     demo = {
         name: mean(means[name, task, DEMO] for task in plan.tasks)
         for name in (learner, expert, random)

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypedDict, get_args, get_origin
 
 from magical.commands._common import INTERRUPTED, UsageError, log, print_json, task_name
-from magical.errors import InvalidConfigError, PluginError
+from magical.errors import InvalidConfigError
 from magical.plugins import plugins
 
 if TYPE_CHECKING:
@@ -90,7 +90,6 @@ def parse(kind: type["Config"], algorithm: str, words: Sequence[str]) -> dict[st
     """The options among words of the command line: those that are given, by name.
 
     Raises:
-        PluginError: an option of the configuration has the name of one of the command.
         UsageError: an unknown option, or a value of another type or not among the choices.
         SystemExit: after printing the help that was asked for.
     """
@@ -111,11 +110,6 @@ def parse(kind: type["Config"], algorithm: str, words: Sequence[str]) -> dict[st
     )
     fields = dict(zip(OWN, own, strict=True))
     for field in options(kind):
-        if field.name in OWN:
-            raise PluginError(
-                f"{kind.__name__}.{field.name}: `magical train` has an option of this name; give "
-                "it another"
-            )
         fields[field.name] = _option(kind, field)
     make_type: Any = TypedDict  # from a dict, which type checkers do not follow
     table: Any = make_type("Options", fields, total=False)  # what is not given is left out

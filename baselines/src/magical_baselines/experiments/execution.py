@@ -1,4 +1,4 @@
-"""Executing the runs of a plan: each is started in a process of its own, and ends as files say."""
+"""Executing a plan: demonstrations for all runs, then each run in a process of its own."""
 
 import errno
 import os
@@ -6,27 +6,29 @@ import pickle
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing, contextmanager, suppress
 from dataclasses import asdict
-from itertools import cycle, islice
+from itertools import chain, cycle, islice
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Lock
 from typing import TYPE_CHECKING, Any
 
-from filelock import FileLock, Timeout
-
-from magical.errors import ClusterError, ResultsError, WorkerDiedError
-from magical.files import LOCK, is_out_of_space
+from magical.demos.dataset import Dataset, DatasetWriter
+from magical.demos.generate import generate
+from magical.envs.ids import EnvId
+from magical.errors import ClusterError, DemonstrationsError, ResultsError, WorkerDiedError
+from magical.files import is_out_of_space, owned
 from magical.messages import for_terminal
 from magical.processes import available_cores
 from magical.runs.folder import CONFIG, differences, is_run, read_json, write_json
 from magical.runs.plan import PLAN, REFERENCES, RUNS
 from magical_baselines.compute import visible_gpus
+from magical_baselines.config import DemonstrationConfig
 from magical_baselines.experiments import one_run
-from magical_baselines.experiments.demonstrations import prepare_demonstrations
 from magical_baselines.experiments.one_run import NO_SPACE, Planned, modules_needed, write_failure
 from magical_baselines.experiments.plan import PlannedReference, PlannedRun
 from magical_baselines.experiments.status import DEMOS, DONE, FAILED, read_result
@@ -81,8 +83,11 @@ class Processes:
             self._environs.put(environ)
         if child.returncode == NO_SPACE:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        if child.returncode:
-            raise WorkerDiedError(f"its process {_end(child.returncode)}")
+        if (code := child.returncode) > 0:
+            raise WorkerDiedError(f"its process ended with exit status {code}")
+        if code < 0:
+            name = signal.Signals(-code).name
+            raise WorkerDiedError(f"its process was killed by signal {-code} ({name})")
 
     def stop(self) -> None:
         """Start nothing more, and have runs in progress save a checkpoint and end, by SIGTERM."""
@@ -108,12 +113,6 @@ def _start(environ: Mapping[str, str]) -> "subprocess.Popen[bytes]":
         env={**os.environ, **ONE_THREAD, **environ, "PYTHONPATH": path},
         process_group=0 if sys.platform != "win32" else None,  # a terminal's Ctrl-C is ours
     )
-
-
-def _end(code: int) -> str:
-    if code > 0:
-        return f"ended with exit status {code}"
-    return f"was killed by signal {-code} ({signal.Signals(-code).name})"
 
 
 def execute(
@@ -151,25 +150,21 @@ def execute(
         again = (None, FAILED) if retry_failed else (None,)
         waiting = [run for run in runs if states[run] in again]
         work: dict[Planned, Path] = {run: out / RUNS / run.folder for run in waiting}
-
-        def go_on(_: int) -> None:
-            if stop.seen:
-                raise _Interrupted
-
+        work |= {each: out / REFERENCES / each.folder for each in references}
         listed = [asdict(run.listed()) for run in runs]
         names = [each.folder for each in references]
         write_json(out / PLAN, {"runs": listed, "references": names, "command": list(command)})
-        with suppress(_Interrupted):
+
+        def go_on(_: int) -> None:
+            if stop.seen:  # demonstrations that are complete are kept
+                raise InterruptedError
+
+        with suppress(InterruptedError):
             demos = prepare_demonstrations(waiting, out, workers, go_on)
-            work |= {each: out / REFERENCES / each.folder for each in references}
             if work:
                 _say(f"{len(work)} to do; magical status {out} shows the progress")
             _finish_all(work, demos, executor, stop)
         return stop.seen
-
-
-class _Interrupted(Exception):
-    """A signal arrived while demonstrations were generated; those that are complete are kept."""
 
 
 def _finish_all(
@@ -226,17 +221,8 @@ def opened(out: Path) -> Iterator[None]:
             raise ResultsError(
                 f"{out}: expected an empty folder, found other things; choose another"
             )
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        with FileLock(out / LOCK, timeout=1):  # `magical status` takes it for a moment
-            yield
-    except Timeout as error:
-        raise ResultsError(f"{out}: another process runs a plan in it; wait, or stop it") from error
-    except OSError as error:
-        if is_out_of_space(error):
-            then = "free some space, then run the same command again"
-            raise ResultsError(f"{out}: no space left on the device; {then}") from error
-        raise
+    with owned(out, ResultsError, "runs a plan in it"):
+        yield
 
 
 def planned_state(run: PlannedRun, out: Path) -> str | None:
@@ -264,3 +250,68 @@ def planned_state(run: PlannedRun, out: Path) -> str | None:
 def _flat(settings: Mapping[str, Any]) -> dict[str, Any]:
     config = settings["config"]  # `differences` ignores its demos, which are a path elsewhere
     return {**settings, **config, "config": None, "demonstrations": config.get("demos")}
+
+
+def prepare_demonstrations(
+    runs: Sequence[PlannedRun],
+    out: Path,
+    workers: int = 1,
+    progress: Callable[[int], None] = lambda _: None,
+) -> Path | None:
+    """The dataset that the runs of a plan learn from; `None` if they need no demonstrations.
+
+    Missing ones are generated in the results folder `out`, by `workers` processes; they are the
+    same whether or not an earlier call was interrupted. `progress` is called after each.
+
+    Raises:
+        DatasetError: the user's dataset is missing or damaged, or too few attempts succeed.
+        DemonstrationsError: it has too few demonstrations for a run.
+    """
+    counts: dict[str, int] = {}
+    for run in runs:
+        if isinstance(wanted := run.config, DemonstrationConfig):
+            counts |= {task: max(wanted.num_demos, counts.get(task, 0)) for task in run.tasks}
+            source, given = run.source, Path(wanted.demos).absolute()  # all have the plan's
+    if not counts:
+        return None
+    if source.dataset:
+        alone = source.expert_demos is None
+        _require_enough(Dataset.open(given), counts if alone else dict.fromkeys(counts, 1))
+    if source.expert_demos is None:
+        return given
+    parts = (f"{name.replace('_', '-')}-{value:g}" for name, value in source.generation.items())
+    folder = out / DEMOS / "-".join([f"expert-{source.expert_demos}", *parts])
+    settings: dict[str, Any] = {**source.generation, "workers": workers, "progress": progress}
+    for task in counts:
+        generate(EnvId(task, "Demo"), source.expert_demos, folder, **settings)
+    if not source.dataset:
+        return folder
+    pooled = out / DEMOS / f"dataset-and-{folder.name}"
+    _pool([Dataset.open(given), Dataset.open(folder)], counts, pooled)
+    _require_enough(Dataset.open(pooled), counts)
+    return pooled
+
+
+def _pool(datasets: Sequence[Dataset], tasks: Iterable[str], folder: Path) -> None:
+    """Copy each task's demonstrations from the datasets, one after another, into one dataset.
+
+    Within a task the order is always the same, and so is what a run samples.
+    """
+    writer = DatasetWriter(folder)
+    # A process that was killed has left some.
+    copied = Counter(entry.task for entry in Dataset.open(folder).entries)
+    for task in tasks:
+        all_of_task = chain.from_iterable(d.filter(task=task, variant="Demo") for d in datasets)
+        for trajectory in islice(all_of_task, copied[task], None):
+            writer.append(trajectory)
+
+
+def _require_enough(dataset: Dataset, counts: Mapping[str, int]) -> None:
+    found = Counter(entry.task for entry in dataset.entries if entry.variant == "Demo")
+    for task, number in counts.items():
+        if found[task] < number:
+            raise DemonstrationsError(
+                f"{dataset.path}: expected at least {number} demonstrations of {task} (Demo), "
+                f"found {found[task]}; add demonstrations, give another folder (--demos), or lower "
+                "num_demos in the plan"
+            )

@@ -6,6 +6,7 @@ import pickle
 import sys
 import time
 import traceback
+from contextlib import suppress
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -26,6 +27,7 @@ from magical.runs.machine import provenance, source_commit
 from magical.runs.plan import RESULT
 from magical.tasks import load_tasks
 from magical_baselines import is_run, load_policy, train
+from magical_baselines.compute import cpu_threads
 from magical_baselines.config import DemonstrationConfig, modules_of
 from magical_baselines.experiments.plan import PlannedReference, PlannedRun
 from magical_baselines.experiments.status import DONE, FAILED, lock_of
@@ -84,16 +86,10 @@ def write_failure(run: PlannedRun, folder: Path, error: BaseException) -> None:
 
 def write_result(run: PlannedRun, folder: Path, **result: Any) -> None:
     """Write a run's final record."""
-    facts = {
-        "method": run.method,
-        "tasks": list(run.tasks),
-        "seed": run.seed,
-        "preset": run.preset,
-        "settings": run.settings(),
-        "finished": f"{datetime.now(UTC):%FT%TZ}",
-        **provenance(),
-    }
-    write_json(folder / RESULT, {**result, **facts})
+    result |= {"method": run.method, "tasks": list(run.tasks), "seed": run.seed}
+    result |= {"preset": run.preset, "settings": run.settings()}
+    result["finished"] = f"{datetime.now(UTC):%FT%TZ}"
+    write_json(folder / RESULT, {**result, **provenance()})
 
 
 def evaluate_run(run: PlannedRun, folder: Path, out: Path, evaluation: Evaluation) -> None:
@@ -101,8 +97,6 @@ def evaluate_run(run: PlannedRun, folder: Path, out: Path, evaluation: Evaluatio
 
     `evaluation` may differ from the run's own.
     """
-    from magical_baselines.compute import cpu_threads
-
     policy = load_policy(folder, device=run.config.device)
     with cpu_threads(run.config.threads):
         workers = 0 if run.config.threads == 1 else run.config.threads
@@ -119,14 +113,11 @@ def evaluate_reference(reference: PlannedReference, folder: Path) -> None:
     policy = BUILT_IN[name]()
     record = record_of(policy, name, folder)
     entry = Entry.of(policy, evaluation, method=name, record=record)
-    try:
+    with suppress(ScoresError):
         found = read_entry(folder)
-        done = {(row.env_id, row.rollout) for row in found.scores}
-        wanted = {(env_id, i) for env_id in evaluation.env_ids for i in range(evaluation.rollouts)}
-        if done == wanted and replace(found, scores=(), record=record) == entry:
+        same = replace(found, scores=(), record=record) == entry
+        if same and len(found.scores) == evaluation.rollouts * len(evaluation.env_ids):
             return
-    except ScoresError:
-        pass
     replace(entry, scores=roll_out(policy, evaluation, workers=0)).write(folder)
 
 
@@ -134,18 +125,18 @@ def main() -> None:
     """Finish what the parent process has pickled to standard input, and end when it does."""
     load_tasks(pickle.load(sys.stdin.buffer))  # noqa: S301  (our own parent's)
     work, folder, demos = pickle.load(sys.stdin.buffer)  # noqa: S301
-    Thread(target=_end_with_parent, daemon=True).start()
+
+    def end_with_parent() -> None:
+        os.read(sys.stdin.fileno(), 1)  # it writes no more, but its end closes the pipe
+        os._exit(1)
+
+    Thread(target=end_with_parent, daemon=True).start()
     try:
         finish(work, folder, demos)
     except Exception as error:
         if is_out_of_space(error):
             sys.exit(NO_SPACE)
         raise
-
-
-def _end_with_parent() -> None:
-    os.read(sys.stdin.fileno(), 1)  # the parent writes no more, but its end closes the pipe
-    os._exit(1)
 
 
 if __name__ == "__main__":

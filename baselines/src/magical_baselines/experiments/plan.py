@@ -5,8 +5,7 @@ keys.
 """
 
 import json
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from importlib.resources import files
 from pathlib import Path
@@ -14,12 +13,11 @@ from typing import Annotated, Any
 
 from msgspec import Meta
 
-from magical.errors import MagicalError, PlanError, PluginError
+from magical.errors import MagicalError, PlanError
 from magical.evaluation import BUILT_IN
-from magical.evaluation.noise import checked_noise
+from magical.evaluation.noise import MAX_NOISE
 from magical.evaluation.protocol import ROLLOUTS, Evaluation, environments
 from magical.experts import get_planner
-from magical.experts.noise import check_share
 from magical.messages import quoted
 from magical.plugins import require_imported
 from magical.runs.plan import ListedRun, file_name
@@ -33,39 +31,24 @@ PLANS = Path(str(files("magical_baselines"))) / "plans"  # those of this package
 EXPERT = "expert"  # as `demos`: demonstrations of the scripted experts, generated for the plan
 DATASET = "dataset"  # in records: demonstrations from a folder, without its path
 MAX_RUNS = 100_000
-OF_THE_PLAN = ("tasks", "seed", "demos")  # settings that a method cannot change
+OF_THE_PLAN = {"tasks", "seed", "demos"}  # settings that a method cannot change
 
 AtLeastOne = Meta(min_length=1)
 Count = Annotated[int, Meta(ge=1, le=2**31 - 1)]
+Share = Annotated[float, Meta(ge=0, le=1)]
 Seed = Annotated[int, Meta(ge=0, le=2**31 - 1)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Method:
-    """One row of the tables: an algorithm with its settings.
+    """One row of the tables: an algorithm with its settings."""
 
-    Raises `PlanError`: an empty or unprintable name, or an unknown algorithm or setting.
-    """
-
-    name: Annotated[str, Meta(max_length=100)]  # a published row's name shows both side by side
+    # A published row's name shows both side by side.
+    name: Annotated[str, Meta(min_length=1, max_length=100)]
     algorithm: str
     preset: str = ""  # of the algorithm's configuration; empty for the plan's
     multi_task: bool = False  # one run learns all tasks of the plan, instead of one for each task
     settings: dict[str, Any] = field(default_factory=dict)  # that differ from the preset
-
-    def __post_init__(self) -> None:
-        if not self.name.strip() or not self.name.isprintable():
-            raise PlanError(f"name: expected printable characters, found {quoted(self.name)}")
-        with _plan_errors("algorithm: "):
-            require_imported(self.algorithm, "the plan")
-            config = find_algorithm(self.algorithm).config
-        known = [name for option in options(config) if (name := option.name) not in OF_THE_PLAN]
-        for name in self.settings:
-            if name not in known:
-                raise PlanError(f"settings.{name}: unknown; expected some of: {', '.join(known)}")
-        with _plan_errors("settings: "):
-            for name in references(config, self.settings):
-                require_imported(name, "the plan")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,53 +65,33 @@ class Plan:
     add_expert: bool = False  # add the scripted experts' demonstrations to the folder's
     num_demos: Count = 10  # of each task, that a run learns from
     expert_demos: Count = 25  # generated for each task, to choose from
-    perturb: float = 0.0  # share of their control steps with a random action
-    min_score: Annotated[float, Meta(ge=0, le=1)] = 0.0  # those that score less are dropped
+    perturb: Share = 0.0  # share of their control steps with a random action
+    min_score: Share = 0.0  # those that score less are dropped
     preset: str = "paper"  # of methods that name none
     threads: Count = 1  # CPU threads of each run; scores are equal only for the same number
     rollouts: Count = ROLLOUTS  # on each variant
     variants: tuple[str, ...] = ()  # each task is evaluated on those that it has; empty for all
     horizon: int | str | None = None  # of evaluation, as `magical.tasks.parse_horizon` takes it
-    nudge: float = 0.0  # of evaluation
+    nudge: Annotated[float, Meta(ge=0, le=MAX_NOISE)] = 0.0  # of evaluation
     references: tuple[str, ...] = ()  # built-in policies that are evaluated too, such as `expert`
 
     def __post_init__(self) -> None:
-        with _plan_errors():
-            check_share("perturb", self.perturb)
+        try:
             object.__setattr__(self, "horizon", parse_horizon(self.horizon))
-        with _plan_errors("nudge: "):
-            checked_noise(self.nudge)
-        with _plan_errors("tasks: "):
             for name in self.tasks:
                 require_imported(name, "the plan")
             names = tuple(load_task(name).name for name in self.tasks)
             object.__setattr__(self, "tasks", names)
-        with _plan_errors("variants: "):
-            object.__setattr__(self, "variants", tuple(map(full_variant, self.variants)))
+            variants = tuple(dict.fromkeys(map(full_variant, self.variants)))
+            object.__setattr__(self, "variants", variants)
+        except (MagicalError, ValueError) as error:
+            raise PlanError(str(error)) from error
         if unknown := [name for name in self.references if name not in BUILT_IN]:
             raise PlanError(
                 f"references: expected some of {', '.join(BUILT_IN)}, found {quoted(unknown[0])}"
             )
-        _require_each_once("methods: name", [method.name for method in self.methods])
-        for key in ("tasks", "seeds", "variants", "references"):
-            _require_each_once(key, getattr(self, key))
         if len(self.methods) * len(self.tasks) * len(self.seeds) > MAX_RUNS:
             raise PlanError(f"expected at most {MAX_RUNS} runs, found more")
-
-
-@contextmanager
-def _plan_errors(prefix: str = "") -> Iterator[None]:
-    """Raise errors in a value as `PlanError`."""
-    try:
-        yield
-    except (PluginError, ValueError) as error:
-        raise PlanError(f"{prefix}{error}") from error
-
-
-def _require_each_once(key: str, values: Sequence[Any]) -> None:
-    for value in values:
-        if values.count(value) > 1:
-            raise PlanError(f"{key}: expected each once, found {quoted(value)} twice")
 
 
 def find_plan(name: str) -> Path:
@@ -193,21 +156,17 @@ class PlannedRun:
 
     @property
     def tasks(self) -> tuple[str, ...]:
-        """The tasks that are learned, several in a multi-task run."""
         return self.config.tasks
 
     @property
     def seed(self) -> int:
-        """The seed of training."""
         return self.config.seed
 
     @property
     def folder(self) -> str:
-        """The name of the run's folder."""
         return folder_name(self.method, self.tasks, self.seed)
 
     def listed(self) -> ListedRun:
-        """The run as `plan.json` lists it."""
         return ListedRun(self.folder, self.method, self.tasks, self.seed, self.config.num_updates)
 
     def __str__(self) -> str:
@@ -238,7 +197,6 @@ class PlannedReference:
 
     @property
     def folder(self) -> str:
-        """The name of its folder, such as `expert-MoveToCorner`."""
         return f"{self.policy}-{self.evaluation.env_ids[0].task}"
 
     def __str__(self) -> str:
@@ -256,6 +214,13 @@ def planned_runs(plan: Plan) -> list[PlannedRun]:
 
     Raises `PlanError`: a method's settings are invalid, or two runs are the same.
     """
+    if plan.demos == EXPERT and plan.add_expert:
+        raise PlanError(f"add_expert: expected demos, or --demos, to be a folder, found {EXPERT}")
+    if plan.demos != EXPERT and not plan.add_expert and (plan.perturb or plan.min_score):
+        raise PlanError(
+            "perturb, min_score: expected 0 for a dataset, found other numbers: they are for "
+            f'generated demonstrations (demos = "{EXPERT}", or add_expert)'
+        )
     runs: list[PlannedRun] = []
     for number, method in enumerate(plan.methods):
         groups = [plan.tasks] if method.multi_task else [(task,) for task in plan.tasks]
@@ -283,7 +248,12 @@ def planned_references(plan: Plan) -> list[PlannedReference]:
 
 def _planned_run(plan: Plan, method: Method, tasks: tuple[str, ...]) -> PlannedRun:
     """The run of a method on tasks with the plan's first seed."""
+    require_imported(method.algorithm, "the plan")
     kind = find_algorithm(method.algorithm).config
+    for name in references(kind, method.settings):
+        require_imported(name, "the plan")
+    if fixed := OF_THE_PLAN & method.settings.keys():
+        raise PlanError(f"settings: expected {min(fixed)} in the plan instead")
     names = {option.name for option in options(kind)}
     from_plan: dict[str, Any] = {
         "tasks": tasks,
@@ -301,7 +271,21 @@ def _planned_run(plan: Plan, method: Method, tasks: tuple[str, ...]) -> PlannedR
         raise PlanError(f"threads: expected at least 1, found {config.threads}")
     source = DemonstrationSource()
     if isinstance(config, DemonstrationConfig):
-        source = _source(plan, tasks, config.num_demos)
+        source = DemonstrationSource(dataset=plan.demos != EXPERT)
+        if plan.add_expert or not source.dataset:
+            for task in tasks:
+                get_planner(task)  # raises for a task without an expert
+            source = replace(
+                source,
+                expert_demos=plan.expert_demos,
+                perturb=plan.perturb,
+                min_score=plan.min_score,
+            )
+        if not source.dataset and plan.expert_demos < config.num_demos:
+            raise PlanError(
+                f"expert_demos: expected at least num_demos, {config.num_demos}, found "
+                f"{plan.expert_demos}"
+            )
     evaluation = _evaluation(plan, tasks)
     return PlannedRun(method.name, preset, config, source, evaluation, plan.variants)
 
@@ -314,25 +298,3 @@ def _evaluation(plan: Plan, tasks: Sequence[str]) -> Evaluation:
         horizon=parse_horizon(plan.horizon),
         nudge=plan.nudge,
     )
-
-
-def _source(plan: Plan, tasks: Sequence[str], num_demos: int) -> DemonstrationSource:
-    """Where a run's `num_demos` demonstrations of each task come from."""
-    dataset = plan.demos != EXPERT
-    if plan.add_expert and not dataset:
-        raise PlanError(f"add_expert: expected demos, or --demos, to be a folder, found {EXPERT}")
-    if dataset and not plan.add_expert:
-        for name in ("perturb", "min_score"):
-            if getattr(plan, name):
-                raise PlanError(
-                    f"{name}: expected 0 for a dataset, found {getattr(plan, name)}: it is for "
-                    f'generated demonstrations (demos = "{EXPERT}", or add_expert)'
-                )
-        return DemonstrationSource(dataset=True)
-    for task in tasks:
-        get_planner(task)  # raises for a task without an expert
-    if not dataset and plan.expert_demos < num_demos:
-        raise PlanError(
-            f"expert_demos: expected at least num_demos, {num_demos}, found {plan.expert_demos}"
-        )
-    return DemonstrationSource(dataset, plan.expert_demos, plan.perturb, plan.min_score)

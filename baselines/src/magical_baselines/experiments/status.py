@@ -46,12 +46,10 @@ class Status:
 
     @property
     def counts(self) -> Counter[str]:
-        """The number of runs by state."""
         return Counter(run.state for run in self.runs)
 
     @property
     def complete(self) -> bool:
-        """Whether everything is done."""
         return self.counts[DONE] == len(self.runs) and not self.references
 
     def __str__(self) -> str:
@@ -68,7 +66,6 @@ class Status:
         return f"{text}; to continue: {printable(shlex.join(['magical', *words, *again]), 2_000)}"
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data for JSON."""
         return {
             "out": str(self.path),
             "active": self.active,

@@ -37,11 +37,6 @@ _NETWORKS: Registry[Architecture] = Registry(
 )
 
 
-def network_names() -> tuple[str, ...]:
-    """The sorted names of all architectures, of this and other distributions; imports none."""
-    return tuple(_NETWORKS.names())
-
-
 def find_network(name: str) -> Architecture:
     """An architecture by its name or `module:NAME`; raises `UnknownNameError`, `PluginError`."""
     return _NETWORKS.get(name)

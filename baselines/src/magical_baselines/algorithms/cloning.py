@@ -1,18 +1,19 @@
-"""Chunks of actions: batches, training, and policies whose network predicts chunks."""
+"""What the learners that clone demonstrations share: training, and chunks of actions."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
-from torch.optim import AdamW
+from torch.optim import AdamW, Optimizer
 
 from magical.errors import InvalidConfigError
 from magical.evaluation.policy import Actions, Mask
 from magical.scene.actions import NUM_ACTIONS, PARTS
+from magical_baselines.augmentation.augment import augment
 from magical_baselines.config import (
     NetworkConfig,
     PositiveFloat,
@@ -21,20 +22,80 @@ from magical_baselines.config import (
     augment_option,
     option,
 )
-from magical_baselines.data import ExpertData as ExpertData
-from magical_baselines.data import load_demonstrations
+from magical_baselines.data import ExpertData, TaskTrajectories, load_demonstrations
 from magical_baselines.policy import TrainedPolicy, choose_actions
 from magical_baselines.training import Purpose, Run, anneal, fit, gradient_step, stream
 
 Floats = NDArray[np.float64]
-AnyConfig = TypeVar("AnyConfig", bound="SequenceConfig")
-Network = TypeVar("Network", bound=nn.Module)
-Batch = TypeVar("Batch")
+# Configuration, demonstrations, random numbers -> a batch, depending on nothing else.
+Sample = Callable[[Any, ExpertData, np.random.Generator], Any]
+# Network, batch -> metrics, of which `loss` is minimised.
+Losses = Callable[[Any, Any], Mapping[str, Tensor]]
 
 WEIGHT_DECAY, MAX_GRAD_NORM = 1e-4, 10.0
 QUICK = {"network": "narrow", "batches": 2400, "precision": "auto"}  # settings of the preset
 # How many numbers a network returns per action: logits, or the action itself.
 ACTION_SIZES = {"discrete": NUM_ACTIONS, "continuous": len(PARTS)}
+
+
+class Cloning:
+    """Fits a network, the run's policy, to demonstrations."""
+
+    def __init__(
+        self,
+        config: SupervisedConfig,
+        run: Run,
+        network: nn.Module,
+        optimizer: Optimizer,
+        sample: Sample,
+        losses: Losses,
+        *,
+        anneals: bool = True,
+        max_grad_norm: float | None = None,
+    ) -> None:
+        """Start from the run's checkpoint, if there is one.
+
+        The learning rate is annealed linearly to 0 if `anneals`.
+        """
+        self.config, self.run, self.network, self.optimizer = config, run, network, optimizer
+        self._sample, self._losses = sample, losses
+        self._anneals, self._max_grad_norm = anneals, max_grad_norm
+        run.keep(policy=network, optimizer=optimizer)
+
+    def fit(
+        self,
+        demonstrations: TaskTrajectories,
+        until: int | None = None,
+        extra_metrics: Mapping[str, float | str] = {},
+    ) -> bool:
+        """Train on all but no-ops, from the run's step to step `until`, by default the last.
+
+        The extra metrics are logged with the others. Returns whether the run stops early.
+        """
+        config = self.config
+        data = ExpertData(
+            demonstrations,
+            config.tasks,
+            config.observation_spec,
+            device=self.run.compute.device,
+            remove_noops=True,
+        )
+        metrics = {**extra_metrics, "samples": len(data)} if extra_metrics else {}
+        self.network.train()
+
+        def sample(number: int) -> Any:
+            return self._sample(config, data, stream(config.seed, Purpose.BATCHES, number))
+
+        return fit(self.run, sample, self.update, until=until, extra_metrics=metrics)
+
+    def update(self, number: int, batch: Any) -> Mapping[str, Tensor]:
+        """Take one optimiser step; returns the metrics."""
+        if self._anneals:
+            anneal(self.optimizer, number, self.config.num_updates)
+        with self.run.compute.autocast():
+            metrics = self._losses(self.network, batch)
+        gradient_step(self.optimizer, metrics["loss"], self._max_grad_norm)
+        return metrics
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,42 +109,13 @@ class SequenceConfig(SupervisedConfig, NetworkConfig):
 
 
 def fit_sequences(
-    config: AnyConfig,
-    run: Run,
-    network: Network,
-    sample: Callable[[AnyConfig, ExpertData, np.random.Generator], Batch],
-    losses: Callable[[Network, Batch], Mapping[str, Tensor]],
+    config: SequenceConfig, run: Run, network: nn.Module, sample: Sample, losses: Losses
 ) -> None:
-    """Fit a network, the run's policy, to the demonstrations without no-ops.
-
-    `sample` returns a batch, depending only on its arguments, and `losses` the metrics of a batch,
-    of which `loss` is minimised. Raises what `load_demonstrations` and `ExpertData` raise.
-    """
-    compute = run.compute
-    data = ExpertData(
-        load_demonstrations(config, run),
-        config.tasks,
-        config.observation_spec,
-        device=compute.device,
-        remove_noops=True,
-    )
-    network.to(compute.device).train()
-    optimizer = AdamW(
-        network.parameters(), config.learning_rate, weight_decay=WEIGHT_DECAY, fused=True
-    )
-    run.keep(policy=network, optimizer=optimizer)
-
-    def update(number: int, batch: Batch) -> Mapping[str, Tensor]:
-        anneal(optimizer, number, config.num_updates)
-        with compute.autocast():
-            metrics = losses(network, batch)
-        gradient_step(optimizer, metrics["loss"], MAX_GRAD_NORM)
-        return metrics
-
-    def make(number: int) -> Batch:
-        return sample(config, data, stream(config.seed, Purpose.BATCHES, number))
-
-    fit(run, make, update)
+    """Fit a network to the run's demonstrations with AdamW."""
+    parameters = network.to(run.compute.device).parameters()
+    optimizer = AdamW(parameters, config.learning_rate, weight_decay=WEIGHT_DECAY, fused=True)
+    cloning = Cloning(config, run, network, optimizer, sample, losses, max_grad_norm=MAX_GRAD_NORM)
+    cloning.fit(load_demonstrations(config, run))
 
 
 def masked_mean(values: Tensor, mask: Tensor) -> Tensor:
@@ -125,7 +157,7 @@ def sample_chunks(config: ChunkConfig, data: ExpertData, rng: np.random.Generato
     was executed, as in perturbed demonstrations, the rest of the chunk is unknown.
     """
     rows = data.sample(config.batch_size, rng)
-    images = data.augmented(rows, config.augmentations(config.augment), rng)
+    images = augment(data.images(rows), config.augmentations(config.augment), rng)
     chosen, exist = data.neighbours(rows, np.arange(config.chunk))
     actions, tasks = data.labels(chosen)
     masks = np.stack([exist, ~exist & data.is_last[chosen]])
@@ -162,7 +194,6 @@ class ChunkPolicy(TrainedPolicy):
             array[mask] = 0
 
     def act(self, observations: Any, env_ids: Sequence[str], rng: np.random.Generator) -> Actions:
-        """See `TrainedPolicy`."""
         due = self._steps % self.config.execute == 0
         inputs = self.extra_inputs(len(env_ids), rng)
         if due.any():
@@ -181,7 +212,6 @@ class ChunkPolicy(TrainedPolicy):
 
     @property
     def ensemble_decay(self) -> float | None:
-        """See the class; `None`: chunks are not averaged."""
         return None
 
     def extra_inputs(self, count: int, rng: np.random.Generator) -> Sequence[Tensor]:
