@@ -105,10 +105,13 @@ def test_the_planner_sees_where_the_robot_was_a_step_ago(
     assert poses[3] != poses[2] != poses[1]
 
 
-def test_relations_decide_where_no_program_explains_demonstrations(
+def test_relations_decide_where_no_program_fits_the_scene(
     run: Path, stacks: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    policy = load(run, unexplained=0.9)
+    policy = load(run)
+    elsewhere = Explanation(parse("Each(WithColour('red'), InCorner('top left'))"), 1.0)
+    policy.network.believe(1, Belief([elsewhere], 0.0, 1.0))
+    policy.reset(np.ones(1, np.bool_))
     seen = []
 
     def control(*inputs: Any) -> torch.Tensor:
