@@ -155,7 +155,8 @@ class ProgramPolicy(TrainedPolicy):
         parsed = self.network.perception(stacked_frames(stacks, STACK - 1))
         uniforms = rng.random(len(tasks))
         actions = np.full(len(tasks), NOOP)
-        unknown, unexplained = [], []
+        unknown: list[int] = []
+        unexplained: list[int] = []
         for row, task in enumerate(tasks.tolist()):
             now = parsed.select(slice(row, row + 1))
             episode = self._episodes[row]
