@@ -8,12 +8,14 @@ actions given the goal, in the robot's frame. There are no published settings.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
+from torch.optim import Optimizer
 
 from magical.errors import InvalidConfigError
 from magical.observe.pixels import CHANNELS, STACK
@@ -158,8 +160,10 @@ def train(config: ObjectBCConfig, run: Run) -> None:
 class ObjectBCTrainer:
     """The goal model and the controller, each with its optimiser."""
 
-    def __init__(self, config: ObjectBCConfig, run: Run, policy: ObjectPolicy) -> None:
-        """Create a new trainer, or resume from the run's checkpoint."""
+    def __init__(
+        self, config: ObjectBCConfig, run: Run, policy: ObjectPolicy, **others: Optimizer
+    ) -> None:
+        """Create a new trainer, or resume from the run's checkpoint, with further optimisers."""
         self.config, self.run, self.compute = config, run, run.compute
         self.device = self.compute.device
         self.policy = policy.to(self.device)
@@ -172,20 +176,21 @@ class ObjectBCTrainer:
             weight_decay=WEIGHT_DECAY,
             fused=True,
         )
-        run.keep(policy=self.policy, optimizer=self.optimizer, goal_optimizer=self.goal_optimizer)
+        kept = {"optimizer": self.optimizer, "goal_optimizer": self.goal_optimizer, **others}
+        run.keep(policy=self.policy, **kept)
 
     def fit(self, demonstrations: Sequence[ParsedDemonstration]) -> None:
         """Train from the run's step to the last batch, or until the run stops."""
-        config = self.config
-        data = ObjectData(demonstrations, config.tasks, self.device)
+        data = ObjectData(demonstrations, self.config.tasks, self.device)
+        seed = self.config.seed
+        fit(self.run, lambda k: stream(seed, Purpose.BATCHES, k), partial(self.update, data))
 
-        def update(number: int, rng: np.random.Generator) -> dict[str, Tensor]:
-            metrics = self.control_step(data, number, rng)
-            if number % GOAL_EVERY == 0:
-                metrics |= self.goal_step(data, number, rng)
-            return metrics
-
-        fit(self.run, lambda number: stream(config.seed, Purpose.BATCHES, number), update)
+    def update(self, data: ObjectData, number: int, rng: np.random.Generator) -> dict[str, Tensor]:
+        """Take one step of each optimiser that is due; returns the metrics."""
+        metrics = self.control_step(data, number, rng)
+        if number % GOAL_EVERY == 0:
+            metrics |= self.goal_step(data, number, rng)
+        return metrics
 
     def control_step(
         self, data: ObjectData, number: int, rng: np.random.Generator

@@ -28,11 +28,15 @@ from magical.files import parse_json
 from magical.observe.pixels import STACK
 from magical.scene import NOOP
 from magical.scene.poses import ROBOT
+from magical_baselines.algorithms import bc
+from magical_baselines.algorithms.bc import BCConfig
+from magical_baselines.augmentation.augment import to_unit
 from magical_baselines.config import Algorithm
-from magical_baselines.data import load_demonstrations
+from magical_baselines.data import ExpertData, TaskTrajectories, load_demonstrations
 from magical_baselines.policy import TrainedPolicy, load_policy, sample_actions, to_inputs
-from magical_baselines.training import Purpose, Run, seeded_init, stream
+from magical_baselines.training import Purpose, Run, anneal, gradient_step, seeded_init, stream
 from magical_goals.intent.acting import Intention
+from magical_goals.intent.checking import contradiction, demonstrated_ends
 from magical_goals.intent.posterior import (
     Belief,
     Explanation,
@@ -43,7 +47,13 @@ from magical_goals.intent.posterior import (
 )
 from magical_goals.language import parse
 from magical_goals.object_bc import ObjectBCConfig, ObjectBCTrainer, ObjectPolicy, stacked_frames
-from magical_goals.objects.data import ParsedDemonstration, parse_demonstrations, track
+from magical_goals.objects.data import (
+    OBSERVATION,
+    ObjectData,
+    ParsedDemonstration,
+    parse_demonstrations,
+    track,
+)
 from magical_goals.objects.parser import ParsedFrames
 from magical_goals.planning.motion import Motion, fit_motion
 from magical_goals.planning.planner import Planner, Situation
@@ -58,6 +68,13 @@ class ProgramBCConfig(ObjectBCConfig):
 
     algorithm: str = "program-bc"
 
+    @property
+    def cloning(self) -> BCConfig:
+        """Settings of the cloning of what no program explains."""
+        own = {"tasks": self.tasks, "seed": self.seed, "demos": self.demos}
+        settings = {**own, "batches": self.batches, "observation": OBSERVATION}
+        return BCConfig.preset("quick", **settings)
+
 
 class ProgramNetwork(ObjectPolicy):
     """An object-centred policy with a belief about the program of each task."""
@@ -66,6 +83,7 @@ class ProgramNetwork(ObjectPolicy):
 
     def __init__(self, config: ProgramBCConfig) -> None:
         super().__init__(config)
+        self.pixels = bc.make_policy(config.cloning)
         empty = torch.zeros(len(config.tasks), MAX_BYTES, dtype=torch.uint8)
         self.register_buffer("beliefs", empty)
         for name, shape in MOTION_SHAPES.items():
@@ -84,7 +102,9 @@ class ProgramNetwork(ObjectPolicy):
     def believe(self, task: int, belief: Belief) -> None:
         """Store the belief about a task."""
         programs = [(repr(program), weight) for program, weight in belief.explanations]
-        saved = _SavedBelief(programs, belief.unexplained, belief.largest)
+        saved = _SavedBelief(
+            programs, belief.unexplained, belief.largest, belief.contradiction, list(belief.ends)
+        )
         text = json.dumps(saved).encode()
         assert len(text) <= MAX_BYTES
         self.beliefs[task] = 0
@@ -98,7 +118,7 @@ class ProgramNetwork(ObjectPolicy):
             explanations = [Explanation(parse(program), w) for program, w in saved.programs]
         except InvalidProgramError as error:
             raise CheckpointError(f"policy: {error}") from error
-        belief = Belief(explanations, saved.unexplained, saved.largest)
+        belief = Belief(explanations, *saved[1:])
         if belief.is_explained and not explanations:
             raise CheckpointError(f"policy: no programs, but {saved.unexplained} unexplained")
         return belief
@@ -110,6 +130,8 @@ class _SavedBelief(NamedTuple):
     programs: list[tuple[str, Annotated[float, Meta(gt=0)]]]  # with their weights
     unexplained: float
     largest: float
+    contradiction: str = ""
+    ends: list[tuple[float, float]] = []  # noqa: RUF012 (msgspec copies it)
 
 
 class ProgramPolicy(TrainedPolicy):
@@ -133,7 +155,8 @@ class ProgramPolicy(TrainedPolicy):
         parsed = self.network.perception(stacked_frames(stacks, STACK - 1))
         uniforms = rng.random(len(tasks))
         actions = np.full(len(tasks), NOOP)
-        unknown = []
+        unknown: list[int] = []
+        unexplained: list[int] = []
         for row, task in enumerate(tasks.tolist()):
             now = parsed.select(slice(row, row + 1))
             episode = self._episodes[row]
@@ -146,10 +169,14 @@ class ProgramPolicy(TrainedPolicy):
             if episode.intention.is_known:
                 actions[row] = episode.act(None if self.greedy else uniforms[row])
             else:
-                unknown.append(row)
-        if unknown:
-            rows = np.array(unknown)
-            logits = self.outputs(observations[rows], [env_ids[row] for row in unknown])
+                known = self._beliefs[task].is_explained
+                (unknown if known else unexplained).append(row)
+        for chosen, network in ((unknown, self.network), (unexplained, self.network.pixels)):
+            if not chosen:
+                continue
+            rows = np.array(chosen)
+            inputs = stacks[rows] if network is self.network else to_unit(stacks[rows])
+            logits = self.computed(network, inputs, tasks[rows])
             found = logits.softmax(dim=1).numpy()
             # Each row has its own random number, so rows do not affect each other.
             sampled = sample_actions(found, uniforms[rows])
@@ -181,15 +208,53 @@ class _Episode:
         return self._planner.act(seen, uniform)
 
 
+class ProgramTrainer(ObjectBCTrainer):
+    """Also clones from pixels where no program explains the demonstrations of some task."""
+
+    policy: ProgramNetwork
+
+    def __init__(self, config: ProgramBCConfig, run: Run, policy: ProgramNetwork) -> None:
+        """Create a new trainer, or resume from the run's checkpoint."""
+        self.cloning = config.cloning
+        parameters = policy.to(run.compute.device).pixels.parameters()
+        self.pixels_optimizer = bc.make_optimizer(self.cloning, parameters)
+        super().__init__(config, run, policy, pixels_optimizer=self.pixels_optimizer)
+        self._frames: ExpertData | None = None
+
+    def clone(self, demonstrations: TaskTrajectories) -> None:
+        """From now on, clone these, too."""
+        spec = self.cloning.observation_spec
+        tasks, device = self.config.tasks, self.device
+        self._frames = ExpertData(demonstrations, tasks, spec, device=device, remove_noops=True)
+        self.policy.pixels.train()
+
+    def update(self, data: ObjectData, number: int, rng: np.random.Generator) -> dict[str, Tensor]:
+        """See `ObjectBCTrainer`."""
+        own = rng.spawn(1)[0]
+        metrics = super().update(data, number, rng)
+        if self._frames is not None:
+            anneal(self.pixels_optimizer, number, self.config.num_updates)
+            batch = bc.sample_batch(self.cloning, self._frames, own)
+            with self.compute.autocast():
+                found = bc.bc_losses(self.policy.pixels, batch)
+            gradient_step(self.pixels_optimizer, found["loss"])
+            metrics["pixels_loss"] = found["loss"]
+        return metrics
+
+
 def train(config: ProgramBCConfig, run: Run) -> None:
     """Learn from the demonstrations."""
     policy = make_policy(config)
-    demonstrations = parse_demonstrations(load_demonstrations(config, run), policy.perception)
+    trajectories = load_demonstrations(config, run)
+    demonstrations = parse_demonstrations(trajectories, policy.perception)
     if not run.saved:
         policy.move_as(fit_motion(demonstrations))
         for number, belief in enumerate(infer_beliefs(config, demonstrations).values()):
             policy.believe(number, belief)
-    ObjectBCTrainer(config, run, policy).fit(demonstrations)
+    trainer = ProgramTrainer(config, run, policy)
+    if not all(policy.belief(task).is_explained for task in range(len(config.tasks))):
+        trainer.clone(trajectories)
+    trainer.fit(demonstrations)
 
 
 def infer_beliefs(
@@ -199,8 +264,11 @@ def infer_beliefs(
     beliefs = {}
     for task in config.tasks:
         rng = stream(config.seed, Purpose.PROGRAMS)
-        episodes = [parsed_episode(each, rng) for each in demonstrations if each.task == task]
-        beliefs[task] = infer(episodes)
+        own = [each for each in demonstrations if each.task == task]
+        belief = infer([parsed_episode(each, rng) for each in own])
+        if belief.is_explained:
+            belief = belief._replace(contradiction=contradiction(belief, own))
+        beliefs[task] = belief._replace(ends=demonstrated_ends(own))
     return beliefs
 
 

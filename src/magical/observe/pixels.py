@@ -211,7 +211,7 @@ class PixelObserver:
             newest = stack[:, :, -CHANNELS:]
             renderer.render(bodies, newest)
             for first in range(0, stack.shape[2] - CHANNELS, CHANNELS):
-                stack[:, :, first : first + CHANNELS] = newest
+                copy_pixels(newest, stack[:, :, first : first + CHANNELS])
 
     def update(self, bodies: NDArray[np.float64]) -> None:
         """Observe the next step."""

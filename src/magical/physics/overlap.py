@@ -38,7 +38,12 @@ class Solid:
             fingers = [pymunk.Poly(self.body, polygon) for polygon in robot_polygons()]
             self.shapes = [pymunk.Circle(self.body, c.ROBOT_RADIUS), *fingers]
         else:
-            self.shapes = block_shapes(self.body, kind)
+            self.shapes = [
+                pymunk.Poly(self.body, outline, None, radius)
+                if outline
+                else pymunk.Circle(self.body, radius)
+                for outline, radius in block_shapes(kind)
+            ]
         for shape in self.shapes:
             shape.filter = pymunk.ShapeFilter(group=group)  # does not overlap itself
 

@@ -9,13 +9,14 @@ import pymunk.autogeometry
 from numpy.typing import NDArray
 
 from magical.errors import InvalidSceneError
-from magical.physics.chipmunk import address
+from magical.physics.chipmunk import Outline, Part, World, address, move, to_world
 from magical.scene import constants as c
 from magical.scene.geometry import Point, block_outline, finger_polygons, rotate
 from magical.scene.poses import Poses
 from magical.scene.scene import Block, Dynamics, Pose, Scene
 from magical.scene.vocabulary import Shape
 
+ORIGIN = (0.0, 0.0)
 ROBOT_GROUP = 1  # collision group shared by all shapes of the robot
 _ROW = np.zeros(1, np.int64)
 
@@ -37,21 +38,19 @@ class Simulation:
         self._kernels = substeps
         self.scene = scene
         self.dynamics = dynamics or Dynamics()
-        self._space = space = pymunk.Space()
-        space.iterations = c.SOLVER_ITERATIONS
-        space.collision_slop = c.COLLISION_SLOP
-        add_walls(space)
+        self._world = world = World(c.SOLVER_ITERATIONS, c.COLLISION_SLOP)
+        add_walls(world)
         if scene.robot_first:
-            robot = add_robot(space, scene.robot, self.dynamics)
+            robot = add_robot(world, scene.robot, self.dynamics)
         blocks = [
-            add_block(space, block, self.dynamics, group=ROBOT_GROUP + 1 + i)
+            add_block(world, block, self.dynamics, group=ROBOT_GROUP + 1 + i)
             for i, block in enumerate(scene.blocks)
         ]
         if not scene.robot_first:
-            robot = add_robot(space, scene.robot, self.dynamics)
+            robot = add_robot(world, scene.robot, self.dynamics)
         body, control, gear, fingers, motors, eyes = robot
         self._bodies = [body, *fingers, *eyes, *blocks]
-        parts = (space, body, control, gear, *fingers, *motors)
+        parts = (world.space, body, control, gear, *fingers, *motors)
         self.robot = np.array([address(part) for part in parts])
         turns = np.array([address(each) for each in self._bodies])
         places = turns.copy()
@@ -107,56 +106,47 @@ class Simulation:
                 f"poses: expected finite numbers up to {c.MAX_COORDINATE:g}, found {furthest:g}"
             )
         for body, row in zip(self._bodies, bodies.tolist(), strict=True):
-            x, y, angle, velocity_x, velocity_y, spin = row
-            body.position, body.angle = (x, y), angle
-            body.velocity, body.angular_velocity = (velocity_x, velocity_y), spin
+            move(body, row)
 
 
-def add_walls(space: pymunk.Space) -> None:
+def add_walls(world: World) -> None:
     """Add four static segments around the workspace."""
     far = c.WORKSPACE_HALF + c.WALL_DISTANCE
     corners = ((-far, far), (far, far), (far, -far), (-far, -far))
     for start, end in zip(corners, corners[1:] + corners[:1], strict=True):
-        wall = pymunk.Segment(space.static_body, start, end, c.WALL_RADIUS)
-        wall.friction = c.WALL_FRICTION
-        space.add(wall)
+        world.wall(start, end, c.WALL_RADIUS, c.WALL_FRICTION)
 
 
-def add_block(space: pymunk.Space, block: Block, dynamics: Dynamics, group: int) -> pymunk.Body:
+def add_block(world: World, block: Block, dynamics: Dynamics, group: int) -> Part:
     """Add one block with its surface drag; `group` is a collision group for it alone."""
-    body = _block_body(block.shape)
-    shapes = block_shapes(body, block.shape)
-    body.position, body.angle = block.pose[:2], block.pose.angle
-    for shape in shapes:
-        shape.friction = c.BLOCK_FRICTION
-        shape.filter = pymunk.ShapeFilter(group=group)
-    pivot = pymunk.PivotJoint(space.static_body, body, (0, 0), (0, 0))
-    pivot.max_bias = 0
-    pivot.max_force = dynamics.block_pivot_max_force
-    gear = pymunk.GearJoint(space.static_body, body, 0.0, 1.0)
-    gear.max_bias = 0
-    gear.max_force = dynamics.block_gear_max_force
-    space.add(body, *shapes, pivot, gear)
+    body = world.body(c.BLOCK_MASS, _block_moment(block.shape), block.pose)
+    for outline, radius in block_shapes(block.shape):
+        world.shape(body, outline, radius, c.BLOCK_FRICTION, group)
+    bodies = world.static, body
+    force = dynamics.block_pivot_max_force
+    world.joint("PivotJointNew2", bodies, ORIGIN, ORIGIN, max_bias=0.0, max_force=force)
+    force = dynamics.block_gear_max_force
+    world.joint("GearJointNew", bodies, 0.0, 1.0, max_bias=0.0, max_force=force)
     return body
 
 
-def _block_body(shape: Shape) -> pymunk.Body:
-    mass = c.BLOCK_MASS
+@cache
+def _block_moment(shape: Shape) -> float:
     if shape == Shape.CIRCLE:
-        return pymunk.Body(mass, pymunk.moment_for_circle(mass, 0, c.BLOCK_SIZE))
+        return pymunk.moment_for_circle(c.BLOCK_MASS, 0, c.BLOCK_SIZE)
     outline = block_outline(shape)
     hull = outline[::2] if shape == Shape.STAR else outline  # for a star, the outer vertices
-    return pymunk.Body(mass, pymunk.moment_for_poly(mass, hull))
+    return pymunk.moment_for_poly(c.BLOCK_MASS, hull)
 
 
-def block_shapes(body: pymunk.Body, shape: Shape) -> list[pymunk.Shape]:
+@cache
+def block_shapes(shape: Shape) -> list[Outline]:
     """The convex shapes of a block, in its body's frame."""
     if shape == Shape.CIRCLE:
-        return [pymunk.Circle(body, c.BLOCK_SIZE)]
+        return [(None, c.BLOCK_SIZE)]
     if shape == Shape.STAR:
-        return [pymunk.Poly(body, part) for part in _star_parts()]
-    margin = c.SQUARE_MARGIN if shape == Shape.SQUARE else 0.0
-    return [pymunk.Poly(body, block_outline(shape), None, margin)]
+        return [(part, 0.0) for part in _star_parts()]
+    return [(block_outline(shape), c.SQUARE_MARGIN if shape == Shape.SQUARE else 0.0)]
 
 
 @cache
@@ -167,15 +157,8 @@ def _star_parts() -> list[list[pymunk.Vec2d]]:
 
 
 def add_robot(
-    space: pymunk.Space, pose: Pose, dynamics: Dynamics
-) -> tuple[
-    pymunk.Body,
-    pymunk.Body,
-    pymunk.GearJoint,
-    list[pymunk.Body],
-    list[pymunk.SimpleMotor],
-    list[pymunk.Body],
-]:
+    world: World, pose: Pose, dynamics: Dynamics
+) -> tuple[Part, Part, Part, list[Part], list[Part], list[Part]]:
     """Add the robot.
 
     Returns:
@@ -183,72 +166,53 @@ def add_robot(
         eyes.
     """
     moment = pymunk.moment_for_circle(c.ROBOT_MASS, 0, c.ROBOT_RADIUS)
-    body = pymunk.Body(c.ROBOT_MASS, moment)
-    body.position, body.angle = pose[:2], pose.angle
-    space.add(body)
-    control, gear = _add_drive(space, body, pose, dynamics)
-    eyes = [_add_eye(space, body, pose) for _ in c.SIDES]
+    body = world.body(c.ROBOT_MASS, moment, pose)
+    control = world.kinematic(pose)
+    force = dynamics.body_pivot_max_force
+    world.joint("PivotJointNew2", (control, body), ORIGIN, ORIGIN, max_bias=0.0, max_force=force)
+    limits = {"max_bias": c.TURN_MAX_BIAS, "max_force": dynamics.body_gear_max_force}
+    gear = world.joint("GearJointNew", (control, body), 0.0, 1.0, error_bias=0.0, **limits)
+    eyes = [_add_eye(world, body, pose) for _ in c.SIDES]
     fingers, motors = zip(
-        *(_add_finger(space, body, side, pose, dynamics) for side in c.SIDES), strict=True
+        *(_add_finger(world, body, side, pose, dynamics) for side in c.SIDES), strict=True
     )
-    shapes: list[pymunk.Shape] = [pymunk.Circle(body, c.ROBOT_RADIUS)]
-    shapes[0].friction = c.ROBOT_FRICTION
+    world.shape(body, None, c.ROBOT_RADIUS, c.ROBOT_FRICTION, ROBOT_GROUP)
     for finger, side in zip(fingers, c.SIDES, strict=True):
         for polygon in finger_polygons(side):
-            shapes.append(pymunk.Poly(finger, polygon))
-            shapes[-1].friction = c.FINGER_FRICTION
-    for shape in shapes:
-        shape.filter = pymunk.ShapeFilter(group=ROBOT_GROUP)
-        space.add(shape)
+            world.shape(finger, polygon, 0.0, c.FINGER_FRICTION, ROBOT_GROUP)
     return body, control, gear, list(fingers), list(motors), eyes
 
 
-def _add_drive(
-    space: pymunk.Space, body: pymunk.Body, pose: Pose, dynamics: Dynamics
-) -> tuple[pymunk.Body, pymunk.GearJoint]:
-    control = pymunk.Body(body_type=pymunk.Body.KINEMATIC)
-    control.position, control.angle = pose[:2], pose.angle
-    pivot = pymunk.PivotJoint(control, body, (0, 0), (0, 0))
-    pivot.max_bias = 0
-    pivot.max_force = dynamics.body_pivot_max_force
-    gear = pymunk.GearJoint(control, body, 0.0, 1.0)
-    gear.error_bias = 0
-    gear.max_bias = c.TURN_MAX_BIAS
-    gear.max_force = dynamics.body_gear_max_force
-    space.add(control, pivot, gear)
-    return control, gear
-
-
-def _add_eye(space: pymunk.Space, body: pymunk.Body, pose: Pose) -> pymunk.Body:
+def _add_eye(world: World, body: Part, pose: Pose) -> Part:
     # The spring's max_force stays unlimited: a limit changes how the robot turns.
-    eye = pymunk.Body(c.EYE_MASS, pymunk.moment_for_circle(c.EYE_MASS, 0, c.ROBOT_RADIUS))
-    eye.position, eye.angle = pose[:2], pose.angle
-    spring = pymunk.DampedRotarySpring(body, eye, 0, c.EYE_SPRING_STIFFNESS, c.EYE_SPRING_DAMPING)
-    space.add(eye, spring)
+    eye = world.body(c.EYE_MASS, pymunk.moment_for_circle(c.EYE_MASS, 0, c.ROBOT_RADIUS), pose)
+    spring = 0.0, c.EYE_SPRING_STIFFNESS, c.EYE_SPRING_DAMPING
+    world.joint("DampedRotarySpringNew", (body, eye), *spring)
     return eye
 
 
 def _add_finger(
-    space: pymunk.Space, body: pymunk.Body, side: int, pose: Pose, dynamics: Dynamics
-) -> tuple[pymunk.Body, pymunk.SimpleMotor]:
+    world: World, body: Part, side: int, pose: Pose, dynamics: Dynamics
+) -> tuple[Part, Part]:
+    root = (side * c.FINGER_ROOT_X, c.FINGER_ROOT_Y)
+    position = finger_position(body, root, pose)
+    place = *position, pose.angle - side * c.FINGER_OPEN
+    finger = world.body(c.FINGER_MASS, _finger_moment(side), place)
+    # A pin joint of zero length, as published; a pivot joint grips visibly differently.
+    world.joint("PinJointNew", (body, finger), root, ORIGIN, error_bias=0.0)
+    limits = (0.0, c.FINGER_OPEN) if side < 0 else (-c.FINGER_OPEN, 0.0)
+    world.joint("RotaryLimitJointNew", (body, finger), *limits, error_bias=0.0)
+    force = dynamics.finger_motor_max_force
+    motor = world.joint("SimpleMotorNew", (body, finger), 0.0, max_bias=0.0, max_force=force)
+    return finger, motor
+
+
+@cache
+def _finger_moment(side: int) -> float:
     upper, forearm = finger_polygons(side)
     # The polygon through both rectangles' vertices in this order crosses itself; the published
     # moment (0.005006 left, 0.004983 right) is this polygon's.
-    finger = pymunk.Body(c.FINGER_MASS, pymunk.moment_for_poly(c.FINGER_MASS, upper + forearm))
-    root = (side * c.FINGER_ROOT_X, c.FINGER_ROOT_Y)
-    finger.position = finger_position(body, root, pose)
-    finger.angle = pose.angle - side * c.FINGER_OPEN
-    # A pin joint of zero length, as published; a pivot joint grips visibly differently.
-    pin = pymunk.PinJoint(body, finger, root, (0, 0))
-    pin.error_bias = 0
-    limits = (0.0, c.FINGER_OPEN) if side < 0 else (-c.FINGER_OPEN, 0.0)
-    limit = pymunk.RotaryLimitJoint(body, finger, *limits)
-    limit.error_bias = 0
-    motor = pymunk.SimpleMotor(body, finger, 0)
-    motor.max_bias = 0
-    motor.max_force = dynamics.finger_motor_max_force
-    space.add(finger, pin, limit, motor)
-    return finger, motor
+    return pymunk.moment_for_poly(c.FINGER_MASS, upper + forearm)
 
 
 # The largest power of two that `finger_position` tries: enough for a robot whose coordinates are 0
@@ -272,7 +236,7 @@ def published_error(root: Point, pose: Pose) -> Point:
     return (finger_x - pose.x) - root_x, (finger_y - pose.y) - root_y
 
 
-def finger_position(body: pymunk.Body, root: Point, pose: Pose) -> Point:
+def finger_position(body: Part, root: Point, pose: Pose) -> Point:
     """The initial position of a finger: its root in the workspace, displaced by some 1e-15 units.
 
     A pin joint pulls along the line between its anchors. A finger hangs on a pin of zero length, so
@@ -298,7 +262,7 @@ def finger_position(body: pymunk.Body, root: Point, pose: Pose) -> Point:
         root: where the finger is attached, in the robot's frame.
         pose: the robot's pose.
     """
-    x, y = body.local_to_world(root)  # as Chipmunk computes it, which is what the pin subtracts
+    x, y = to_world(body, root)  # as Chipmunk computes it, which is what the pin subtracts
     error_x, error_y = published_error(root, pose)
     for power in range(_MAX_POWER + 1):
         step_x, step_y = 2**power * error_x, 2**power * error_y

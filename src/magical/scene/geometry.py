@@ -53,6 +53,7 @@ def shift(polygon: Iterable[Point], dx: float, dy: float) -> Polygon:
     return tuple((x + dx, y + dy) for x, y in polygon)
 
 
+@cache
 def finger_polygons(side: int, shrink: float = 0.0) -> tuple[Polygon, Polygon]:
     """Upper arm and forearm of a finger in its own frame, their dimensions reduced by `shrink`."""
     thickness = c.FINGER_THICKNESS - shrink

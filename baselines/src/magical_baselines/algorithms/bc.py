@@ -1,6 +1,6 @@
 """Behavioural cloning: maximum likelihood of the demonstrator's actions (appendix B, Table 3)."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
@@ -8,7 +8,7 @@ import numpy as np
 from msgspec import Meta
 from torch import Tensor
 from torch.nn import functional
-from torch.optim import SGD, Adam
+from torch.optim import SGD, Adam, Optimizer
 
 from magical.errors import InvalidConfigError
 from magical.observe import STATE
@@ -89,15 +89,18 @@ def sample_batch(config: BCConfig, data: ExpertData, rng: np.random.Generator) -
     return Batch(images, actions, tasks)
 
 
+def make_optimizer(config: BCConfig, parameters: Iterable[Tensor]) -> Optimizer:
+    """The optimiser of the configuration."""
+    rate = config.learning_rate
+    if config.optimizer == "adam":
+        return Adam(parameters, rate, (config.momentum, ADAM_BETA_2), fused=True)
+    return SGD(parameters, rate, config.momentum, fused=True)
+
+
 def make_cloning(config: BCConfig, run: Run) -> Cloning:
     """The policy network and what trains it."""
     network = make_policy(config).to(run.compute.device)
-    parameters, rate = network.parameters(), config.learning_rate
-    optimizer = (
-        Adam(parameters, rate, (config.momentum, ADAM_BETA_2), fused=True)
-        if config.optimizer == "adam"
-        else SGD(parameters, rate, config.momentum, fused=True)
-    )
+    optimizer = make_optimizer(config, network.parameters())
     return Cloning(config, run, network, optimizer, sample_batch, bc_losses, anneals=config.anneal)
 
 

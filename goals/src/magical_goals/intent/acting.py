@@ -1,7 +1,8 @@
 """What to move, and where to, given a belief about the goal.
 
 One of the things most likely to have to move is moved next, to the place with the least expected
-work under all goals, including the way there. If no such move saves more work than a move costs,
+work under all goals, including the way there; where goals leave a choice, near where demonstrations
+ended. If no such move saves more work than a move costs,
 the other things are considered; if none of their moves does either, nothing is left to do.
 """
 
@@ -26,6 +27,7 @@ GOALS = 8  # the most probable ones, which are acted on
 PRESSING = 0.8  # share of the highest probability: things less likely to have to move come later
 CHANGE = 0.05  # units of expected work: less is no reason to decide again
 NEARNESS = 0.2  # units of work per unit of the way to a thing, and of its way to its place
+FAMILIARITY = 0.1  # units of work per unit from the nearest place where a demonstration ended
 CLEARANCE = 0.24  # units between blocks' centres: closer blocks would touch
 CROWDED = 1.0  # units of work that such a place costs
 CELLS, BORDER = 14, 0.9  # of the grid of places; units
@@ -49,6 +51,10 @@ class Intention:
         likely = sorted(possible, key=lambda each: -each[1])[:GOALS]
         total = sum(weight for _, weight in likely)
         self.goals = [(goal, weight / total) for goal, weight in likely]
+        self._strangeness = np.zeros(len(PLACES))
+        if belief.ends:
+            away = np.linalg.norm(PLACES[:, None] - np.array(belief.ends), axis=2)
+            self._strangeness = FAMILIARITY * away.min(axis=1)
         self._decision: Decision = None
         self._work = math.inf  # expected at the time of the decision
         self._blocks = np.full((len(scene.blocks), 2), math.inf)  # where they lay at that time
@@ -68,7 +74,7 @@ class Intention:
         after = poses.bodies.copy()
         if self._decision is not None:
             thing, place = self._decision
-            after[_row(thing), :2] = place
+            after[row_of(thing), :2] = place
         now, then = self._expected_work(np.stack([poses.bodies, after])).tolist()
         kept = abs(now - self._work) < CHANGE if self._decision is None else now - then > MOVE_COST
         if not kept:
@@ -120,9 +126,10 @@ class Intention:
                 if (wanted.get(thing, 0.0) >= pressing) is group:
                     work = self.work_at_places(thing, poses)
                     cost = work + _smooth(work) + NEARNESS * _ways_to_places(thing, poses)
+                    cost += self._strangeness
                     best = int(np.argmin(cost))
                     if now - work[best] > MOVE_COST:
-                        away = math.dist(poses.bodies[_row(thing), :2], grip)
+                        away = math.dist(poses.bodies[row_of(thing), :2], grip)
                         moves.append((float(cost[best]) + NEARNESS * away, thing, best))
             if moves:
                 _, thing, best = min(moves)
@@ -133,7 +140,7 @@ class Intention:
     def work_at_places(self, thing: int, poses: Poses) -> Floats:
         """Expected work with a thing at each of `PLACES`; more where blocks would touch."""
         bodies = np.repeat(poses.bodies[None], len(PLACES), axis=0)
-        bodies[:, _row(thing), :2] = PLACES
+        bodies[:, row_of(thing), :2] = PLACES
         work = self._expected_work(bodies)
         if thing != ROBOT_TARGET:
             others = np.delete(poses.blocks[:, :2], thing, axis=0)
@@ -160,7 +167,8 @@ def confidence_by_variant(belief: Belief, task: str, scenes: int) -> dict[str, f
     return found
 
 
-def _row(thing: int) -> int:
+def row_of(thing: int) -> int:
+    """The row of a block, or of `ROBOT_TARGET`, in `Poses.bodies`."""
     return ROBOT if thing == ROBOT_TARGET else FIRST_BLOCK + thing
 
 
@@ -168,7 +176,7 @@ def _ways_to_places(thing: int, poses: Poses) -> Floats:
     """The length, in units, of a thing's route to each place, around the other blocks."""
     others = poses.blocks[[row for row in range(len(poses.blocks)) if row != thing], :2]
     rooms = np.full(len(others), CONTACT_DISTANCE if thing == ROBOT_TARGET else APART + BLOCK_ROOM)
-    start = poses.bodies[_row(thing), :2]
+    start = poses.bodies[row_of(thing), :2]
     return Routes(start[None], np.zeros(1), others, rooms, BORDER).at(PLACES)[0]
 
 

@@ -21,6 +21,7 @@ from scipy.stats import qmc
 
 from magical.scene import COLOURS, SHAPES, Block, Pose, Poses, Region, Scene
 from magical.scene.constants import WORKSPACE_HALF
+from magical.scene.geometry import Point
 from magical.scene.poses import FIRST_BLOCK, ROBOT
 from magical_goals.intent.meanings import Language, Meaning
 from magical_goals.language.expressions import Floats
@@ -154,11 +155,13 @@ class Belief(NamedTuple):
     explanations: Sequence[Explanation]  # the most probable first
     unexplained: float  # the probability that there is no program
     largest: float  # that of the most probable meaning in all its wordings, if there is one
+    contradiction: str = ""  # what acting on it would not do; see `checking`
+    ends: Sequence[Point] = ()  # where demonstrations left what they moved
 
     @property
     def is_explained(self) -> bool:
         """Whether any program explains the demonstrations."""
-        return self.unexplained < LEAST_WEIGHT
+        return self.unexplained < LEAST_WEIGHT and not self.contradiction
 
     @property
     def is_known(self) -> bool:
@@ -168,6 +171,8 @@ class Belief(NamedTuple):
     @property
     def verdict(self) -> str:
         """The belief in a sentence."""
+        if self.contradiction:
+            return f"no program explains the demonstrations: {self.contradiction}"
         if not self.is_explained:
             return f"no program explains the demonstrations (probability {self.unexplained:.2f})"
         known = "known" if self.is_known else "not known"
