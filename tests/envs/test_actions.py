@@ -19,7 +19,7 @@ BAD = [
     ([np.nan, 0.0, 0.0], "found drive nan"),
     ([0.0, 1.0 + 1e-9, 0.0], "found turn 1"),
     ([0.0, 0.0, -np.inf], "found grip -inf"),
-    ([0.0, 0.0], r"of shape \(1, 3\), found <array"),
+    ([0.0, 0.0], r"of shape \(1, 3\), found"),
     ([0.0, [0.0], 0.0], "of shape"),
     (["0", "0", "0"], "of shape"),
     ([True, False, True], "of shape"),

@@ -62,7 +62,6 @@ WRONG: dict[str, list[tuple[tuple[Any, ...], Any]]] = {  # field in the message:
     ],
     "actions": [
         *((("actions",), actions) for actions in ("111", [18], [1.5], [0] * 1_000_000)),
-        (("horizon",), 2),  # below the actions
     ],
     "rng": [
         (("rng", "bit_generator"), "MT19937"),

@@ -389,7 +389,7 @@ def test_wrong_options_are_refused() -> None:
     ):
         with pytest.raises(error):
             vector(**wrong)
-    with pytest.raises(UnknownNameError, match="expected one of: NextStep, SameStep, Disabled"):
+    with pytest.raises(UnknownNameError, match="expected NextStep or SameStep or Disabled"):
         vector(autoreset_mode="same_step")
 
 
