@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from magical.demos import Actor, Dataset
-from magical.demos.summary import replay
+from magical.demos.trajectory import replay
 from magical.envs.keys import Control, controls_of
 from magical.experts import EpisodeExpert, expert_for
 from magical_play import session

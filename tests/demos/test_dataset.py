@@ -206,7 +206,7 @@ def test_folders_with_something_else_are_no_datasets(tmp_path: Path) -> None:
     (tmp_path / ".DS_Store").touch()
     assert len(Dataset.open(DatasetWriter(tmp_path).path)) == 0
     (tmp_path / "config.json").touch()
-    with pytest.raises(DatasetError, match=r"found one with \['config.json'\]"):
+    with pytest.raises(DatasetError, match=r"found \['config.json'\]"):
         DatasetWriter(tmp_path)
     with pytest.raises(DatasetError, match="expected a dataset"):
         Dataset.open(tmp_path / "none")

@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from magical.demos import Dataset, DatasetWriter, Frames, Trajectory
-from magical.demos.summary import replay
+from magical.demos.trajectory import replay
 from magical.envs import parse_env_id
 from magical.errors import DatasetError
 from magical.scene import Poses

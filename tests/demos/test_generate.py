@@ -11,7 +11,7 @@ import pytest
 from magical.cli import main
 from magical.demos import Dataset, DatasetWriter
 from magical.demos.generate import demonstrate, generate
-from magical.demos.summary import replay
+from magical.demos.trajectory import replay
 from magical.envs.seeds import episode_seed
 from magical.errors import DatasetError, InvalidConfigError, InvalidSceneError
 from tests.demos.conftest import Run

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from magical.demos import Dataset, Trajectory
-from magical.demos.reader import TrajectorySource
+from magical.demos.trajectory import TrajectorySource
 from magical.envs.action_spec import Actions, ActionSpaceName, spec_of
 from magical.errors import DemonstrationsError, TrajectoryError
 from magical.observe import ObservationSpec

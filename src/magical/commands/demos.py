@@ -204,7 +204,7 @@ def run_generate(args: argparse.Namespace) -> int:
 def run_info(args: argparse.Namespace) -> int:
     """`magical demos info`."""
     from magical.demos import Dataset
-    from magical.demos.summary import summarise
+    from magical.demos.dataset import summarise
 
     dataset = Dataset.open(args.dataset)
     summaries, duplicates = summarise(dataset.entries), dataset.duplicates()
@@ -232,7 +232,7 @@ def run_info(args: argparse.Namespace) -> int:
 def run_replay(args: argparse.Namespace) -> int:
     """`magical demos replay`."""
     from magical.demos import Dataset
-    from magical.demos.summary import replay
+    from magical.demos.trajectory import replay
     from magical.progress import ProgressBar
 
     dataset, replays = Dataset.open(args.dataset), []

@@ -52,7 +52,7 @@ def generate(
         env_id: the environment's id; a preset in it is ignored.
         number: how many demonstrations of this series the dataset is to hold.
         out: the dataset's folder, created if it does not exist.
-        seed: seed of the series of attempts.
+        seed: of the series of attempts.
         first: index of the first attempt, to continue a series.
         perturb: share of steps with a random action; the `labels` to imitate stay the expert's.
         min_score: attempts with a lower score (by the appendix's rule) are dropped.
@@ -90,9 +90,10 @@ def generate(
                     what = f"{dropped} attempts scored less than {min_score}"
                     raise DatasetError(f"{env_id}: {what}; give a lower score, or perturb less")
                 continue
-            if trajectory is not None:
+            if trajectory is None:
+                already += 1
+            else:
                 writer.append(trajectory)
-            already += trajectory is None
             scores.append(score)
             progress(1)
     return GenerateReport(parsed, tuple(scores), already, dropped)
