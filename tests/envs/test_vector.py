@@ -46,7 +46,7 @@ def vector(
 
 HORIZON = 7
 
-TO_CENTRE = "tests.envs.potentials:TO_CENTRE"
+TO_CENTRE = "tests.envs.test_env:TO_CENTRE"
 
 
 def single(env_id: str, observation: Any = "state", **options: Any) -> MagicalEnv:

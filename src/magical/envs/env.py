@@ -74,8 +74,7 @@ class SavedState:
     horizon: Annotated[int, Meta(ge=1, le=MAX_HORIZON)]  # control steps in the episode
     scene: dict[str, Any]
     dynamics: dict[str, Any]
-    # So far: drive, turn, grip.
-    actions: Annotated[tuple[tuple[_Part, _Part, _Part], ...], Meta(max_length=MAX_HORIZON)]
+    actions: tuple[tuple[_Part, _Part, _Part], ...]  # so far: drive, turn, grip
     # After the actions: x, y, angle and their velocities, in units, radians and seconds.
     bodies: tuple[tuple[_Number, _Number, _Number, _Number, _Number, _Number], ...]
     # Whether the actions lead to these bodies. They do not in an episode that was itself restored
@@ -99,6 +98,8 @@ class SavedState:
             np.random.PCG64().state = cast(Any, self.rng)
         except (MagicalError, TypeError, ValueError, KeyError, OverflowError) as error:
             raise InvalidStateError(f"saved state: scene, dynamics or rng: {error}") from error
+        if (found := len(self.actions)) > self.horizon:
+            raise InvalidStateError(f"saved state: {found} actions, beyond its horizon")
         if (found := len(self.bodies)) != (count := FIRST_BLOCK + len(scene.blocks)):
             raise InvalidStateError(f"saved state: bodies: expected {count}, found {found}")
         return scene, dynamics, np.array(self.bodies)

@@ -440,10 +440,7 @@ def _checked_seeds(seed: Any, num_envs: int) -> list[int | None]:
 
 
 def make_vector_env(task: str, variant: str, num_envs: int = 1, **options: Any) -> MagicalVectorEnv:
-    """The entry point of `gymnasium.make_vec("magical/<id>", num_envs=N, ...)`.
-
-    `options` are those of `MagicalVectorEnv`: observation, workers, horizon, reward, copy, ...
-    """
+    """The entry point of `gymnasium.make_vec`; `options` are those of `MagicalVectorEnv`."""
     if "max_episode_steps" in options:
         raise time_limit_error(options["max_episode_steps"])
     return MagicalVectorEnv([EnvId(task, variant)] * num_envs, **options)
