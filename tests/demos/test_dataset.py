@@ -12,13 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from conftest import SHARED
 from magical.demos import Dataset, DatasetWriter, Trajectory
 from magical.errors import DatasetError, UnknownNameError
 from magical.tasks import get_task, register_task, unregister_task
 from tests.demos.conftest import MakeTrajectory
-
-HUMAN_POSES = SHARED / "human-poses"
 
 
 def assert_equal(a: Trajectory, b: Trajectory) -> None:
@@ -68,24 +65,16 @@ def test_a_task_that_is_not_registered_is_listed_but_not_read(
         dataset[0]
 
 
-def test_an_episode_takes_at_most_150_kb(tmp_path: Path, make_trajectory: MakeTrajectory) -> None:
-    full = make_trajectory("magical/ClusterColour-TestAll-v0", steps=320, seed=3)
-    assert DatasetWriter(tmp_path).append(full).size <= 150_000
-
-
 @pytest.mark.parametrize(
     ("condition", "expected"),
     [
         ({"task": "MoveToCorner"}, [1, 3]),
         ({"task": "MakeLine"}, []),
         ({"task": "MoveToCornr"}, "did you mean 'MoveToCorner'"),
-        ({"variant": "TestAll"}, [2]),
         ({"variant": "Jitter"}, [3]),
         ({"variant": "demo"}, "not a variant"),
         ({"demonstrator": "other"}, [2]),
         ({"env_id": "MoveToCorner-Demo-LoRes4E-v0"}, [1]),
-        ({"env_id": "MoveToCornr-Demo-v0"}, "did you mean 'MoveToCorner'"),
-        ({"min_score": 0.0}, [1, 2, 3, 4]),
         ({"min_score": 0.9}, [4]),  # frames, of which only the published code's score is known
     ],
 )
@@ -109,9 +98,7 @@ def test_a_sample_depends_on_the_generator_alone(small_dataset: Path) -> None:
     dataset = Dataset.open(small_dataset)
     samples = [dataset.sample(2, np.random.default_rng(seed)).entries for seed in (0, 0, 1, 2, 3)]
     assert samples[0] == samples[1]
-    files = [tuple(entry.file for entry in sample) for sample in samples]
-    assert len(set(files)) > 1
-    assert all(list(names) == sorted(names) for names in files)
+    assert len({tuple(entry.file for entry in sample) for sample in samples}) > 1
     with pytest.raises(DatasetError, match="expected 4 trajectories, found 3"):
         dataset.sample(4, np.random.default_rng(0))
 
@@ -119,28 +106,22 @@ def test_a_sample_depends_on_the_generator_alone(small_dataset: Path) -> None:
 APPEND_SOME = """
 import sys
 from magical.demos import Dataset, DatasetWriter
-source, target, index = sys.argv[1:]
-trajectory, writer = Dataset.open(source)[int(index)], DatasetWriter(target)
+trajectory, writer = Dataset.open(sys.argv[1])[int(sys.argv[3])], DatasetWriter(sys.argv[2])
 for _ in sys.stdin:
     writer.append(trajectory)
     print("appended", flush=True)
 """
 
 
-def test_three_processes_append_at_once(tmp_path: Path, small_dataset: Path) -> None:
+def test_two_processes_append_at_once(tmp_path: Path, small_dataset: Path) -> None:
     path = tmp_path / "target"
     with ExitStack() as stack:
-        jobs = [
-            stack.enter_context(
-                subprocess.Popen(
-                    [sys.executable, "-c", APPEND_SOME, small_dataset, path, str(index)],
-                    stdin=subprocess.PIPE,
-                    stdout=subprocess.PIPE,
-                )
-            )
-            for index in range(3)
+        commands = [
+            [sys.executable, "-c", APPEND_SOME, small_dataset, path, str(i)] for i in (0, 1)
         ]
-        for _ in range(20):  # in each round all at once
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+        jobs = [stack.enter_context(subprocess.Popen(command, **pipes)) for command in commands]
+        for _ in range(20):  # in each round both at once
             for job in jobs:
                 job.stdin.write(b"\n")
                 job.stdin.flush()
@@ -148,7 +129,7 @@ def test_three_processes_append_at_once(tmp_path: Path, small_dataset: Path) -> 
                 assert job.stdout.readline() == b"appended\n"
         for job in jobs:
             job.communicate()  # closes its input, which ends it
-    assert sorted(t.seed for t in Dataset.open(path)) == [1] * 20 + [2] * 20 + [3] * 20
+    assert sorted(t.seed for t in Dataset.open(path)) == [1] * 20 + [2] * 20
 
 
 KILLED = """
@@ -188,7 +169,7 @@ def test_reading_many_needs_the_memory_of_one(
     tmp_path: Path, make_frames_trajectory: MakeTrajectory
 ) -> None:
     writer, one = DatasetWriter(tmp_path), make_frames_trajectory(steps=9)
-    for _ in range(12):
+    for _ in range(6):
         writer.append(one)
 
     def peak(count: int) -> int:
@@ -199,7 +180,7 @@ def test_reading_many_needs_the_memory_of_one(
         tracemalloc.stop()
         return found
 
-    assert peak(12) < peak(2) + 10 * 96 * 96 * 3
+    assert peak(6) < peak(2) + 10 * 96 * 96 * 3
 
 
 def test_folders_with_something_else_are_no_datasets(tmp_path: Path) -> None:
@@ -212,8 +193,8 @@ def test_folders_with_something_else_are_no_datasets(tmp_path: Path) -> None:
         Dataset.open(tmp_path / "none")
 
 
-def test_frames_of_the_human_demonstrations_are_read(human_trajectories: Path) -> None:
-    """They were written by version 1, with a manifest."""
+def test_the_stored_human_demonstrations_are_read(human_trajectories: Path) -> None:
+    """They were written by version 1, with a manifest; in another folder there are their poses."""
     dataset = Dataset.open(human_trajectories)
     lines = (human_trajectories / "manifest.jsonl").read_text().splitlines()[1:]
     for entry, line in zip(dataset.entries, map(json.loads, lines), strict=True):
@@ -221,16 +202,9 @@ def test_frames_of_the_human_demonstrations_are_read(human_trajectories: Path) -
         assert (entry.env_id, entry.name) == (line["env_id"], line["source"])
         assert entry.published_code_score == line["published_code_score"]
     assert dataset.sha256(dataset.entries[7]) == json.loads(lines[7])["sha256"]
-    first = dataset[0]
-    assert (first.bodies, first.frames["ego"].shape) == (None, (241, 96, 96, 3))
-
-
-@pytest.mark.skipif(not HUMAN_POSES.exists(), reason="the human demonstrations are not here")
-def test_poses_of_the_human_demonstrations_are_read() -> None:
-    dataset = Dataset.open(HUMAN_POSES)
-    assert len(dataset) == 203
-    first = dataset[0]
-    assert first.bodies.shape == (241, 13, 6)
-    assert np.isnan(first.bodies[..., 3:]).all()
+    assert (dataset[0].bodies, dataset[0].frames["ego"].shape) == (None, (241, 96, 96, 3))
+    poses = Dataset.open(human_trajectories.parent / "human-poses")
+    first = poses[0]
+    assert (len(poses), first.bodies.shape) == (203, (241, 13, 6))
     again = Trajectory.from_bodies(first.env_id, first.scene, first.actions, first.poses)
-    assert (again.score, again.published_code_score) == (first.score, first.published_code_score)
+    assert_equal(first, replace(again, demonstrator="human", metadata=first.metadata))
