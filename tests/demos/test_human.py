@@ -36,7 +36,7 @@ def test_imported_files_are_the_stored_ones(
 ) -> None:
     """Two files, whose frames are those of the Demo scene but for another graphics driver."""
     files = [human_archive / ONE, *human_archive.glob("fix-colour/*-000*")]
-    report = import_published(files, tmp_path / "d", workers=2)
+    report = import_published(files, tmp_path / "d")
     assert report.imported == [file.name for file in files]
     assert (report.failed, report.duplicates, report.already) == ([], [], [])
     stored = Dataset.open(human_trajectories)
