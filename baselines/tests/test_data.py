@@ -10,6 +10,7 @@ import pytest
 from baselines.tests.conftest import STEPS, TASKS, picture_demo
 from magical.demos import Actor, Dataset, DatasetWriter, Trajectory, observations
 from magical.errors import DemonstrationsError
+from magical.files import sha256_sum
 from magical.observe import PRESETS
 from magical_baselines.config import IMAGE_OBSERVATIONS
 from magical_baselines.data import ExpertData, sample_demonstrations, split_evenly
@@ -166,7 +167,7 @@ def test_the_seed_alone_chooses_and_every_task_as_if_alone(demos: Path) -> None:
 def test_the_record_names_files_and_sums(demos: Path) -> None:
     record = sample_demonstrations(str(demos), TASKS, 4, 0).record
     dataset = Dataset.open(demos)
-    entries = {entry.file: dataset.sha256(entry) for entry in dataset.entries}
+    entries = {entry.file: sha256_sum(dataset.path / entry.file) for entry in dataset.entries}
     assert {r["file"]: r["sha256"] for r in record} == entries
 
 

@@ -63,7 +63,7 @@ def test_perturbed_demonstrations_hold_both_actions_and_those_with_the_score_are
         generate(ENV, 2, tmp_path, min_score=1.1)
 
 
-def test_a_share_outside_0_to_1_and_no_demonstrations_are_refused(
+def test_a_share_outside_0_to_1_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     command = ["demos", "generate", "--env", ENV, "--perturb=much", "--out", str(tmp_path / "d")]
@@ -72,8 +72,6 @@ def test_a_share_outside_0_to_1_and_no_demonstrations_are_refused(
     for share in (1.5, float("nan")):
         with pytest.raises(InvalidConfigError, match="perturb: expected a number from 0 to 1"):
             generate(ENV, 1, tmp_path / "d", perturb=share)
-    with pytest.raises(ValueError, match="number, workers: expected at least 1"):
-        generate(ENV, 0, tmp_path / "d")
     assert not (tmp_path / "d").exists()
 
 

@@ -17,6 +17,7 @@ from magical.demos import Dataset, Trajectory
 from magical.demos.trajectory import TrajectorySource
 from magical.envs.action_spec import Actions, ActionSpaceName, spec_of
 from magical.errors import DemonstrationsError, TrajectoryError
+from magical.files import sha256_sum
 from magical.observe import ObservationSpec
 from magical.observe.arrays import stack_indices
 from magical.scene import NOOP
@@ -84,7 +85,10 @@ def sample_demonstrations(
             )
         some = of_task.sample(count, stream(seed, Purpose.DEMONSTRATIONS))
         trajectories += [(task, _converted(trajectory, action_space)) for trajectory in some]
-        record += [{"task": task, "file": e.file, "sha256": some.sha256(e)} for e in some.entries]
+        record += [
+            {"task": task, "file": e.file, "sha256": sha256_sum(some.path / e.file)}
+            for e in some.entries
+        ]
     return Demonstrations(tuple(trajectories), tuple(record))
 
 

@@ -11,12 +11,13 @@ no pickle is loaded.
 
 import hashlib
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import re
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from operator import attrgetter
 from pathlib import Path
-from typing import Annotated, Any, Literal, overload
+from typing import Annotated, Any, overload
 from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipFile
 
 import numpy as np
@@ -28,39 +29,23 @@ from magical.demos.trajectory import ACTION_COLUMNS, VIEWS, Trajectory, without_
 from magical.envs.action_spec import ActionSpaceName, spec_of
 from magical.envs.ids import EnvId, parse_env_id, split_env_id
 from magical.errors import DatasetError, MagicalError, TrajectoryError
-from magical.files import sha256_sum, write_atomically
+from magical.files import write_atomically
 from magical.grouping import group_by
 from magical.messages import printable, quoted
 from magical.scene import Dynamics, Scene
 from magical.tasks import get_task
 from magical.tasks.axes import full_variant
-from magical.untrusted import MAX_BYTES, parse_json
+from magical.untrusted import MAX_BYTES, convert, parse_json
 
 SUFFIX = ".npz"
 MAX_FILE = 64 << 20  # bytes on disk; the largest human recording has 0.6 MB
 MAX_UNPACKED = 512 << 20  # bytes of all arrays together
 MAX_MEMBERS = 16
 MAX_ACTIONS = 1 << 21  # bytes; a discrete action has one
-MAX_MESSAGE = 1000  # characters of an error
-_FIELDS = ("seed", "score", "published_code_score", "demonstrator", "metadata")
+FORMATS = ("magical-trajectory", 1), ("magical-trajectory", 2)
+_FIELDS = ("seed", "score", "published_code_score", "demonstrator", "metadata")  # of the header
 
 Score = Annotated[float, Meta(ge=0.0, le=1.0)]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Header:
-    """The header of a file; `env_id` is split, but its task may not be installed here."""
-
-    format: Literal["magical-trajectory"]
-    version: Literal[1, 2]
-    env_id: Annotated[str, Meta(pattern=r"\A[\w/-]{1,200}\Z")]
-    seed: Annotated[int, Meta(ge=0)] | None
-    score: Score | None
-    published_code_score: Score
-    demonstrator: str
-    metadata: dict[str, Any]
-    scene: dict[str, Any]
-    dynamics: dict[str, Any]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,14 +53,16 @@ class Entry:
     """What a dataset knows of a trajectory without reading its arrays."""
 
     file: str  # relative to the dataset's folder
-    env_id: EnvId
+    env_id: EnvId  # of a task that need not be installed here
     length: int  # control steps
     action_space: ActionSpaceName
-    seed: int | None
-    score: float | None
-    published_code_score: float
+    seed: Annotated[int, Meta(ge=0)] | None
+    score: Score | None
+    published_code_score: Score
     demonstrator: str
-    metadata: Mapping[str, Any] = field(hash=False)
+    metadata: dict[str, Any] = field(hash=False)
+    scene: dict[str, Any] = field(hash=False, repr=False)
+    dynamics: dict[str, Any] = field(hash=False, repr=False)
     has_poses: bool
     has_labels: bool  # actions to imitate in addition to the executed ones
     size: int  # bytes on disk
@@ -129,10 +116,9 @@ class Dataset(Sequence[Trajectory]):
             raise DatasetError(f"{folder}: expected a dataset, a folder with {SUFFIX} files")
         # An empty file is one that is being written, or whose writer was killed.
         files = (file for file in sorted(folder.rglob(f"*{SUFFIX}")) if file.stat().st_size)
-        return cls(folder, [_read_entry(file, folder) for file in files])
+        return cls(folder, [_entry(file, folder) for file in files])
 
     def __len__(self) -> int:
-        """The number of trajectories."""
         return len(self.entries)
 
     @overload
@@ -145,14 +131,10 @@ class Dataset(Sequence[Trajectory]):
         """One trajectory, read and checked now; for a slice, part of the dataset."""
         if isinstance(index, slice):
             return Dataset(self.path, self.entries[index])
-        return read_trajectory(self.path / self.entries[index].file)
+        return _read(self.path / self.entries[index].file)
 
     def __repr__(self) -> str:
         return f"Dataset({str(self.path)!r}, {len(self)} trajectories)"
-
-    def sha256(self, entry: Entry) -> str:
-        """The SHA-256 sum of an entry's file."""
-        return sha256_sum(self.path / entry.file)
 
     def filter(
         self,
@@ -208,10 +190,8 @@ class Dataset(Sequence[Trajectory]):
 class DatasetWriter:
     """Appends to a dataset, created if it does not exist; several processes may append at once.
 
-    Files are numbered. They get their names only when they are complete.
-
-    Raises:
-        DatasetError: the folder contains other files, or cannot be written.
+    Files are numbered, and have contents only when they are complete. Raises `DatasetError` if the
+    folder contains other files, or cannot be written.
     """
 
     def __init__(self, path: Path | str) -> None:
@@ -241,7 +221,7 @@ class DatasetWriter:
             except BaseException:
                 path.unlink()
                 raise
-        return _read_entry(path, self.path)
+        return _entry(path, self.path)
 
     @contextmanager
     def _writing(self) -> Iterator[None]:
@@ -252,20 +232,25 @@ class DatasetWriter:
             raise DatasetError(f"{where}: cannot be written: {error.strerror or error}") from error
 
 
-def read_trajectory(path: Path) -> Trajectory:
+def _entry(path: Path, folder: Path) -> Entry:
+    with _opened(path, folder) as (_, entry, _):
+        return entry
+
+
+def _read(path: Path) -> Trajectory:
     """Read a trajectory's file; raises `DatasetError` if it is damaged, too large, or another."""
-    with _opened(path) as (archive, header, actions):
+    with _opened(path, path.parent) as (archive, entry, actions):
         names = {info.filename.removesuffix(".npy") for info in archive.infolist()}
         arrays = {name: _load(archive, name) for name in names - {"header", "actions"}}
         frames = {view: arrays[f"frames_{view}"] for view in VIEWS if f"frames_{view}" in arrays}
         bodies = arrays.get("bodies")
-        if header.version == 1 and (poses := arrays.get("poses")) is not None:
-            bodies = without_velocities(poses)
+        if bodies is None and "poses" in arrays:
+            bodies = without_velocities(arrays["poses"])
         return Trajectory(
-            env_id=parse_env_id(header.env_id),
-            **{name: getattr(header, name) for name in _FIELDS},
-            scene=Scene.from_dict(header.scene),
-            dynamics=Dynamics.from_dict(header.dynamics),
+            env_id=parse_env_id(str(entry.env_id)),
+            **{name: getattr(entry, name) for name in _FIELDS},
+            scene=Scene.from_dict(entry.scene),
+            dynamics=Dynamics.from_dict(entry.dynamics),
             actions=actions,
             **{name: arrays.get(name) for name in (*ACTION_COLUMNS[1:], "actors")},  # type: ignore[arg-type]
             bodies=bodies,
@@ -273,45 +258,39 @@ def read_trajectory(path: Path) -> Trajectory:
         )
 
 
-def _read_entry(path: Path, folder: Path) -> Entry:
-    with _opened(path) as (archive, header, actions):
-        parts = {info.filename: info.CRC for info in archive.infolist()}
-        parts.pop("header.npy")
-        return Entry(
-            file=path.relative_to(folder).as_posix(),
-            env_id=split_env_id(header.env_id),  # its task may be of a package not installed here
-            **{name: getattr(header, name) for name in _FIELDS},
-            length=len(actions),
-            action_space=spec_of(actions).name,
-            has_poses="bodies.npy" in parts or "poses.npy" in parts,
-            has_labels="expert_actions.npy" in parts,
-            size=path.stat().st_size,
-            fingerprint=hashlib.sha256(repr(sorted(parts.items())).encode()).hexdigest()[:16],
-        )
-
-
 @contextmanager
-def _opened(path: Path) -> Iterator[tuple[ZipFile, _Header, NDArray[Any]]]:
-    """Open a file; gives the archive, the header and the actions.
-
-    Any error in the block becomes a `DatasetError` that names the file.
-    """
+def _opened(path: Path, folder: Path) -> Iterator[tuple[ZipFile, Entry, NDArray[Any]]]:
+    """Open a file; any error in the block becomes a `DatasetError` that names it."""
     try:
-        if path.stat().st_size > MAX_FILE:
+        if (size := path.stat().st_size) > MAX_FILE:
             raise DatasetError(f"expected at most {MAX_FILE} bytes, found more")
         with ZipFile(path) as archive:
             infos = archive.infolist()
             if len(infos) > MAX_MEMBERS or sum(info.file_size for info in infos) > MAX_UNPACKED:
                 raise DatasetError(f"expected {MAX_MEMBERS} arrays, {MAX_UNPACKED} bytes at most")
             if any(info.compress_type not in (ZIP_STORED, ZIP_DEFLATED) for info in infos):
-                raise DatasetError(
-                    "expected deflated data, found another compression, which may need gigabytes"
-                )
+                raise DatasetError("expected deflated data: another compression needs gigabytes")
+            actions = _load(archive, "actions", MAX_ACTIONS)
             text = _load(archive, "header", MAX_BYTES).tobytes()
-            header = parse_json(text, _Header, "header", DatasetError)
-            yield archive, header, _load(archive, "actions", MAX_ACTIONS)
+            header = parse_json(text, dict[str, Any], "header", DatasetError)
+            kind = header.pop("format", None), header.pop("version", None)
+            if kind not in FORMATS or not re.fullmatch(r"[\w/-]{1,200}", header["env_id"]):
+                raise DatasetError(f"expected a trajectory, found {quoted(kind)}")
+            parts = {info.filename: info.CRC for info in infos if info.filename != "header.npy"}
+            digest = hashlib.sha256(repr(sorted(parts.items())).encode()).hexdigest()
+            header |= {
+                "file": path.relative_to(folder).as_posix(),
+                "env_id": split_env_id(header["env_id"]),
+                "length": len(actions),
+                "action_space": spec_of(actions).name,
+                "has_poses": "bodies.npy" in parts or "poses.npy" in parts,
+                "has_labels": "expert_actions.npy" in parts,
+                "size": size,
+                "fingerprint": digest[:16],
+            }
+            yield archive, convert(header, Entry, "header", DatasetError), actions
     except MagicalError as error:
-        raise DatasetError(f"{path}: {printable(str(error), MAX_MESSAGE)}") from error
+        raise DatasetError(f"{path}: {printable(str(error), 1000)}") from error
     except Exception as error:  # zipfile, zlib, NumPy and the constructors raise many kinds
         what = printable(f"{type(error).__name__}: {error}")
         raise DatasetError(f"{path}: expected a trajectory, found another file: {what}") from error
@@ -328,8 +307,7 @@ def _load(archive: ZipFile, name: str, most: int = MAX_UNPACKED) -> NDArray[Any]
 
 def _to_arrays(trajectory: Trajectory) -> dict[str, NDArray[Any]]:
     header = {
-        "format": "magical-trajectory",
-        "version": 2,
+        **dict(zip(("format", "version"), FORMATS[-1], strict=True)),
         **{name: getattr(trajectory, name) for name in _FIELDS},
         "env_id": str(trajectory.env_id),
         "scene": trajectory.scene.to_dict(),
@@ -356,8 +334,8 @@ def summarise(entries: Iterable[Entry]) -> list[dict[str, Any]]:
             "with_poses": sum(entry.has_poses for entry in group),
             "with_labels": sum(entry.has_labels for entry in group),
             "lengths": [f(entry.length for entry in group) for f in (min, max)],
-            "score": _mean(entry.score for entry in group),  # where it is known
-            "published_code_score": _mean(entry.published_code_score for entry in group),
+            "score": _mean([entry.score for entry in group if entry.score is not None]),
+            "published_code_score": _mean([entry.published_code_score for entry in group]),
             "bytes": sum(entry.size for entry in group),
             "action_spaces": sorted({entry.action_space for entry in group}),
             "demonstrators": sorted({entry.demonstrator for entry in group}),
@@ -366,6 +344,5 @@ def summarise(entries: Iterable[Entry]) -> list[dict[str, Any]]:
     ]
 
 
-def _mean(values: Iterable[float | None]) -> float | None:
-    known = [value for value in values if value is not None]
-    return sum(known) / len(known) if known else None
+def _mean(values: list[float]) -> float | None:
+    return sum(values) / len(values) if values else None

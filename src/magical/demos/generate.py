@@ -67,8 +67,6 @@ def generate(
     """
     parsed = parse_env_id(env_id).without_preset
     check_share("perturb", perturb)
-    if number < 1 or workers < 1:
-        raise ValueError(f"number, workers: expected at least 1, found {number}, {workers}")
     modules = modules_of(parsed.task) if workers > 1 else []
     writer = DatasetWriter(out)
     known = {
@@ -87,8 +85,9 @@ def generate(
             if score < min_score:
                 dropped += 1
                 if dropped > MAX_DROPPED * number:
-                    what = f"{dropped} attempts scored less than {min_score}"
-                    raise DatasetError(f"{env_id}: {what}; give a lower score, or perturb less")
+                    raise DatasetError(
+                        f"{env_id}: {dropped} attempts scored less than {min_score}; perturb less"
+                    )
                 continue
             if trajectory is None:
                 already += 1

@@ -109,7 +109,7 @@ def import_published(
     known = {(entry.name, entry.metadata.get("source_sha256")) for entry in entries}
     wanted = [file for file in files if (file.name, sha256_sum(file)) not in known]
     report = ImportReport(already=[file.name for file in files if file not in wanted])
-    first = {entry.fingerprint: entry.name for entry in entries}
+    first = {entry.fingerprint: Path(entry.name) for entry in entries}
     progress(len(report.already))
     with closing(map_in_order(_outcome, wanted, min(workers, len(wanted) or 1))) as outcomes:
         for file, outcome in outcomes:
@@ -118,13 +118,12 @@ def import_published(
                 report.failed.append((str(file), outcome or ""))
                 continue
             entry = writer.append(outcome)
-            if earlier := first.get(entry.fingerprint):
-                name = str(file) if earlier == file.name else file.name
-                report.duplicates.append((name, earlier))
+            if (earlier := first.setdefault(entry.fingerprint, file)) is not file:
+                name = str(file) if earlier.name == file.name else file.name
+                report.duplicates.append((name, earlier.name))
                 if skip_duplicates:
                     (writer.path / entry.file).unlink()
                     continue
-            first.setdefault(entry.fingerprint, file.name)
             report.imported.append(file.name)
     return report
 
@@ -140,9 +139,8 @@ def _outcome(file: Path) -> Trajectory | str:
 def read_demonstration(path: Path) -> tuple[Trajectory, FullFrames]:
     """Read one published file: its trajectory, of frames averaged 4 x 4, and its own frames.
 
-    Raises:
-        UnsafeFileError: the file cannot be read, has not the published sum, is damaged, too large,
-            or contains anything other than a demonstration as plain data.
+    Raises `UnsafeFileError` if the file cannot be read, has not the published sum, is damaged, too
+    large, or contains anything other than a demonstration as plain data.
     """
     try:
         digest = sha256_sum(path)

@@ -5,7 +5,6 @@ from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import gymnasium as gym
@@ -26,10 +25,7 @@ class RecordTrajectories(gym.Wrapper[Any, Any, Any, Any]):
     It works with any policy or `gymnasium.utils.play`, and with other wrappers inside or around it.
     An episode that is reset before its end is not stored.
 
-    Args:
-        env: one of magical's environments, optionally wrapped.
-        dataset: the dataset's folder.
-        demonstrator: name of the person or policy that chooses the actions.
+    `demonstrator` is the name of the person or policy that chooses the actions.
 
     Raises:
         TrajectoryError: the environment is not one of magical's, or `set_state` was called.
@@ -40,11 +36,11 @@ class RecordTrajectories(gym.Wrapper[Any, Any, Any, Any]):
         super().__init__(env)
         if not isinstance(env.unwrapped, MagicalEnv):
             raise TrajectoryError(f"expected one of magical's environments, found {env.unwrapped}")
-        self._inner, self._demonstrator = env.unwrapped, demonstrator
+        self._inner = env.unwrapped
+        self._by: dict[str, Any] = {"demonstrator": demonstrator}
         self._writer = DatasetWriter(dataset)
         self._bodies: list[NDArray[np.float64]] = []
         self._scene: Scene | None = None  # of the episode that is recorded
-        self._seed: int | None = None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -65,16 +61,13 @@ class RecordTrajectories(gym.Wrapper[Any, Any, Any, Any]):
             raise TrajectoryError("the episode was not recorded from its start; reset() first")
         self._bodies.append(state.bodies)
         if result[2] or result[3]:
-            by, seed = self._demonstrator, self._seed
-            self._writer.append(
-                recorded_trajectory(self._inner, self._bodies, seed=seed, demonstrator=by)
-            )
+            self._writer.append(recorded_trajectory(self._inner, self._bodies, **self._by))
             self._scene = None
         return result
 
     def _start(self, seed: int | None) -> None:
         state = self._inner.state()
-        self._scene, self._bodies, self._seed = state.scene, [state.bodies], seed
+        self._scene, self._bodies, self._by["seed"] = state.scene, [state.bodies], seed
 
 
 def recorded_trajectory(
@@ -83,7 +76,7 @@ def recorded_trajectory(
     *,
     seed: int | None,
     demonstrator: str,
-    metadata: Mapping[str, Any] = MappingProxyType({}),
+    metadata: Mapping[str, Any] | None = None,
 ) -> Trajectory:
     """The trajectory of an environment's current episode, scored at its last poses.
 
@@ -98,7 +91,7 @@ def recorded_trajectory(
         dynamics=env.simulation.dynamics,
         seed=seed,
         demonstrator=demonstrator,
-        metadata={**provenance(), **metadata},
+        metadata={**provenance(), **(metadata or {})},
     )
 
 

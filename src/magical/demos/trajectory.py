@@ -139,7 +139,6 @@ class Trajectory:
         )
 
     def __len__(self) -> int:
-        """The number of actions, T."""
         return len(self.actions)
 
     @property
@@ -240,7 +239,7 @@ class Frames:
                 raise TrajectoryError(
                     f"{trajectory.env_id}: this recording has only frames of {FRAME_SIZE} x "
                     f"{FRAME_SIZE} pixels of the views {', '.join(recorded)}, not {view} frames "
-                    f"of {size} x {size} with {samples or 'any'} samples; use a preset of that size"
+                    f"of {size} x {size} with {samples or 'any'} samples"
                 )
             self._rows, self._write = recorded[view], copy_pixels
 
@@ -265,7 +264,6 @@ class TrajectorySource:
         self.frames = cache(partial(Frames, trajectory))  # (view, size, samples) -> Frames
 
     def __len__(self) -> int:
-        """The number of actions, T."""
         return len(self.trajectory)
 
     def body_states(self) -> NDArray[np.float64]:
