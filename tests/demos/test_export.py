@@ -47,15 +47,6 @@ def test_replays_agree_with_what_was_recorded(
     assert [one["departure"] for one in result["replays"]] == [0.0] * 3
 
 
-@pytest.mark.parametrize("what", ["info", "replay", "export --to minari", "video --out v.mp4"])
-def test_a_missing_dataset_is_named(
-    tmp_path: Path, what: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    command, *more = what.split()
-    assert main(["demos", command, str(tmp_path / "none"), *more]) == 1
-    assert "expected a dataset" in capsys.readouterr().err
-
-
 def test_terminal_escapes_are_shown_escaped(
     tmp_path: Path, make_trajectory: MakeTrajectory, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -44,7 +44,6 @@ def test_a_trajectory_copies_its_arrays_and_is_read_only() -> None:
         ({"actions": np.array([1, 18])}, r"from 0 to 17 of shape \(2,\), found 18 in row 1"),
         ({"actions": np.array([], np.int64)}, "at least one"),
         ({"actions": np.full((2, 3), 1.5)}, "found drive 1.5 in row 0"),
-        ({"actions": np.array([1, 2, 3])}, "for 3 actions"),
         ({"expert_actions": np.zeros((2, 3))}, r"expert_actions: .* of shape \(2,\)"),
         ({"policy_actions": np.array([-1, 1])}, "policy_actions: .* found -1 in row 0"),
         ({"bodies": BODIES[:, :5]}, "and the scene"),
@@ -55,7 +54,6 @@ def test_a_trajectory_copies_its_arrays_and_is_read_only() -> None:
         (FRAMES_ONLY, "expected bodies or frames, found none"),
         ({**FRAMES_ONLY, "frames": {"top": FRAMES}}, "views"),
         ({**FRAMES_ONLY, "frames": {"ego": FRAMES[:2]}}, "for 2 actions"),
-        ({**FRAMES_ONLY, "frames": {"ego": FRAMES.astype(int)}}, "uint8"),
         ({"actors": np.array([0])}, r"actors: expected uint8 \(2,\)"),
         ({"actors": np.array([0, 3])}, "actors: expected at most 2"),
     ],
@@ -116,12 +114,9 @@ def test_actions_are_converted_to_those_that_move_everything_the_same(
 OWN = PixelSpec((("ego", 2), ("allo", 3)), size=40, samples=2)
 
 
-@pytest.mark.parametrize("env", ["MoveToCorner-TestAll", "ClusterShape-TestAll"])
 @pytest.mark.parametrize("observation", [*PRESETS, "raw", "state", OWN])
-def test_observations_are_bit_identical(
-    make_trajectory: MakeTrajectory, env: str, observation: Any
-) -> None:
-    trajectory = make_trajectory(f"{env}-v0", steps=7)
+def test_observations_are_bit_identical(make_trajectory: MakeTrajectory, observation: Any) -> None:
+    trajectory = make_trajectory("ClusterShape-TestAll-v0", steps=7)
     env_id = trajectory.env_id
     running = MagicalEnv(env_id.task, env_id.variant, observation=observation)
     start = {"scene": trajectory.scene, "dynamics": trajectory.dynamics}
