@@ -3,7 +3,6 @@
 import json
 import subprocess
 import sys
-import tracemalloc
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import fields, replace
 from pathlib import Path
@@ -144,24 +143,6 @@ def test_a_full_disk_leaves_what_was_there(
     with pytest.raises(DatasetError, match="cannot be written: No space left"):
         DatasetWriter(small_dataset).append(dataset[0])
     assert sorted(small_dataset.iterdir()) == before
-
-
-def test_reading_many_needs_the_memory_of_one(
-    tmp_path: Path, make_frames_trajectory: MakeTrajectory
-) -> None:
-    writer, one = DatasetWriter(tmp_path), make_frames_trajectory(steps=9)
-    for _ in range(6):
-        writer.append(one)
-
-    def peak(count: int) -> int:
-        tracemalloc.start()
-        for _ in Dataset.open(tmp_path)[:count]:
-            pass
-        found = tracemalloc.get_traced_memory()[1]
-        tracemalloc.stop()
-        return found
-
-    assert peak(6) < peak(2) + 10 * 96 * 96 * 3
 
 
 def test_folders_with_something_else_are_no_datasets(tmp_path: Path) -> None:

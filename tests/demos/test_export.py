@@ -1,5 +1,6 @@
 """The commands that show, replay and export, read again by other libraries; the Hub is a folder."""
 
+import json
 import shutil
 from dataclasses import replace
 from fnmatch import fnmatch
@@ -19,19 +20,26 @@ from tests.demos.conftest import MakeTrajectory, Run
 REPO = "someone/demos"
 
 
-def test_info_counts(small_dataset: Path, make_trajectory: MakeTrajectory, run: Run) -> None:
-    writer = DatasetWriter(small_dataset)
-    longer = make_trajectory(steps=14, seed=4, expert_actions=[1] * 14)
+def test_info_counts_and_escapes(
+    small_dataset: Path, make_trajectory: MakeTrajectory, capsys: pytest.CaptureFixture[str]
+) -> None:
+    writer, escapes = DatasetWriter(small_dataset), {"demonstrator": "\x1b[2J\x07"}
+    longer = make_trajectory(steps=14, seed=4, expert_actions=[1] * 14, **escapes)
     writer.append(replace(longer, score=1.0, published_code_score=0.5))
     copy = writer.append(Dataset.open(small_dataset)[1])
-    status, result = run("info", small_dataset)
-    assert (status, result["count"]) == (0, 5)
-    assert result["duplicates"] == [[copy.file, "000001.npz"]]
+    assert main(["demos", "info", str(small_dataset), "--json"]) == 0
+    shown = capsys.readouterr()
+    assert all(line.isprintable() for line in (shown.out + shown.err).split("\n"))
+    result = json.loads(shown.out.splitlines()[-1])
+    assert (result["count"], result["duplicates"]) == (5, [[copy.file, "000001.npz"]])
     corner = result["environments"][1]
     assert corner["env_id"] == "magical/MoveToCorner-Demo-v0"
     assert [corner[name] for name in ("count", "with_poses", "with_labels")] == [2, 2, 1]
-    assert corner["lengths"] == [12, 14]
-    assert (corner["score"], corner["published_code_score"]) == (0.5, 0.25)
+    assert (corner["lengths"], corner["score"], corner["published_code_score"]) == (
+        [12, 14],
+        0.5,
+        0.25,
+    )
 
 
 def test_replays_agree_with_what_was_recorded(
@@ -45,18 +53,6 @@ def test_replays_agree_with_what_was_recorded(
     assert (status, result["agree"]) == (0, 1)
     assert [one["agrees"] for one in result["replays"]] == [False, False, True]
     assert [one["departure"] for one in result["replays"]] == [0.0] * 3
-
-
-def test_terminal_escapes_are_shown_escaped(
-    tmp_path: Path, make_trajectory: MakeTrajectory, capsys: pytest.CaptureFixture[str]
-) -> None:
-    escapes = "\x1b[2J\x07"
-    for _ in range(2):
-        made = make_trajectory(demonstrator=escapes, metadata={"source": escapes})
-        DatasetWriter(tmp_path).append(made)
-    assert main(["demos", "info", str(tmp_path)]) == 0
-    shown = capsys.readouterr()
-    assert all(line.isprintable() for line in (shown.out + shown.err).split("\n"))
 
 
 @pytest.fixture
@@ -93,7 +89,11 @@ def test_a_video_shows_both_views_and_the_score(make_frames_trajectory: MakeTraj
 
 
 def test_a_minari_export_is_lossless(
-    mixed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, make_trajectory: MakeTrajectory
+    mixed: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    make_trajectory: MakeTrajectory,
+    run: Run,
 ) -> None:
     minari = pytest.importorskip("minari", reason="the minari extra is not installed")
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "minari"))
@@ -115,17 +115,10 @@ def test_a_minari_export_is_lossless(
         assert [recovered.step(0)[3] for _ in range(len(trajectory))][-2:] == [False, True]
     with pytest.raises(DatasetError, match="Minari refuses"):
         export_minari(dataset, name="mine")
-
-
-def test_labels_are_infos_beside_the_executed_actions(
-    tmp_path: Path, make_trajectory: MakeTrajectory, monkeypatch: pytest.MonkeyPatch, run: Run
-) -> None:
-    minari = pytest.importorskip("minari", reason="the minari extra is not installed")
-    writer = DatasetWriter(tmp_path / "labelled")
-    writer.append(make_trajectory(steps=3, seed=1, actors=[0, 2, 0]))
-    writer.append(make_trajectory(steps=3, seed=2, expert_actions=[17, 0, 4]))
-    monkeypatch.setenv("MINARI_DATASETS_PATH", "")
-    command = ("export", writer.path, "--to", "minari", "--out", tmp_path / "minari")
+    labelled = DatasetWriter(tmp_path / "labelled")
+    labelled.append(make_trajectory(steps=3, seed=1, actors=[0, 2, 0]))
+    labelled.append(make_trajectory(steps=3, seed=2, expert_actions=[17, 0, 4]))
+    command = ("export", labelled.path, "--to", "minari", "--out", tmp_path / "other")
     status, result = run(*command, "--preset", "LoResStack")
     assert (status, result["episodes"]) == (0, 2)
     first, second = minari.load_dataset(result["datasets"][0])

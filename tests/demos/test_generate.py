@@ -13,7 +13,7 @@ from magical.demos.generate import demonstrate, generate
 from magical.demos.trajectory import replay
 from magical.envs.env import MagicalEnv
 from magical.envs.seeds import episode_seed
-from magical.errors import DatasetError, InvalidConfigError, InvalidSceneError
+from magical.errors import DatasetError, InvalidConfigError
 from tests.demos.conftest import Run
 
 ENV = "magical/MoveToRegion-TestAll-v0"
@@ -91,18 +91,6 @@ def test_several_environments_append_and_repetitions_are_counted(
     assert main(["demos", *map(str, command), ids[0]]) == 0
     assert "that duplicate earlier ones: 1" in capsys.readouterr().err
     assert main(["demos", *map(str, command), "MoveToMoon-Demo-v0"]) == 2
-
-
-def test_scene_without_solution_is_an_error(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def unsolvable(*_: Any, **__: Any) -> Any:
-        raise InvalidSceneError("there is no duplicate")
-
-    monkeypatch.setattr("magical.demos.generate.rollout", unsolvable)
-    command = ["demos", "generate", "--env", ENV, "-n", "1", "--workers", "1"]
-    assert main([*command, "--out", str(tmp_path / "d")]) == 1
-    assert "there is no duplicate" in capsys.readouterr().err
 
 
 def test_an_interrupted_series_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

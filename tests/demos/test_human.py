@@ -84,18 +84,23 @@ def test_imported_files_are_the_stored_ones(
     assert sorted((tmp_path / "d").iterdir()) == before
 
 
-def test_duplicates_are_reported_and_may_be_left_out(tmp_path: Path, run: Run) -> None:
+def test_duplicates_are_reported_and_damaged_files_cost_themselves_alone(
+    tmp_path: Path, run: Run
+) -> None:
     same, folder = published(steps=1), tmp_path / "in"
     for level, file in enumerate(("a/demo-019", "b/demo-019", "demo-020"), 1):
         write(folder / f"{file}.pkl.gz", same, level)
-    write(folder / "demo-018.pkl.gz", published(steps=1, seed=1))
+    raw = write(folder / "demo-018.pkl.gz", published(steps=1, seed=1)).read_bytes()
+    for i, content in enumerate((raw[:9], raw[: len(raw) // 2], b"x" + raw)):
+        (folder / f"{i}.pkl.gz").write_bytes(content)
     pairs = [["demo-020.pkl.gz", "demo-019.pkl.gz"]]
     pairs = [[str(folder / "b" / "demo-019.pkl.gz"), "demo-019.pkl.gz"], *pairs]
     for out, imported, more in (("all", 4, ()), ("once", 2, ["--skip-duplicates"])):
-        options = ("--out", tmp_path / out, "--workers", 1, *more)
-        status, result = run("import", folder, *options)
-        assert (status, result["duplicates"], len(result["imported"])) == (0, pairs, imported)
+        status, result = run("import", folder, "--out", tmp_path / out, "--workers", 1, *more)
+        assert (status, result["duplicates"], len(result["imported"])) == (1, pairs, imported)
         assert len(Dataset.open(tmp_path / out)) == imported
+        assert [Path(file).name[0] for file, _ in result["failed"]] == ["0", "1", "2"]
+        assert all(reason.startswith(file) for file, reason in result["failed"])
 
 
 def test_sums_of_the_published_archive() -> None:
@@ -197,17 +202,6 @@ def test_what_unpacks_to_too_much_is_refused(
     monkeypatch.setattr("magical.demos.human.MAX_UNPACKED", 2_000_000)
     with pytest.raises(UnsafeFileError, match="unpacks to more than 2000000 bytes"):
         read_demonstration(file)
-
-
-def test_a_damaged_file_costs_itself_alone(tmp_path: Path, run: Run) -> None:
-    raw = gzip.compress(published(steps=1), 1)
-    (tmp_path / "in").mkdir()
-    for i, content in enumerate((raw[:9], raw[: len(raw) // 2], b"x" + raw, raw)):
-        (tmp_path / "in" / f"{i}.pkl.gz").write_bytes(content)
-    status, result = run("import", tmp_path / "in", "--out", tmp_path / "out", "--workers", 1)
-    assert (status, result["imported"], len(result["failed"])) == (1, ["3.pkl.gz"], 3)
-    for file, reason in result["failed"]:
-        assert reason.startswith(file)
 
 
 HOST = "https://host.invalid"

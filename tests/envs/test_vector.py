@@ -95,6 +95,7 @@ def test_sub_environments_are_bit_equal_to_single_environments(
     env_ids: Any, workers: int, kind: str, observation: str
 ) -> None:
     options = {"horizon": HORIZON, "reward": "tests.envs.test_env:TO_CENTRE", "action_space": kind}
+    options["render_mode"] = "rgb_array"
     envs = vector(env_ids, workers, observation, **options)
     singles = [single(env_id, observation, **options) for env_id in env_ids]
     observations, _ = envs.reset(seed=3)
@@ -116,6 +117,7 @@ def test_sub_environments_are_bit_equal_to_single_environments(
             np.testing.assert_array_equal(rewards, [result[1] for result in results])
             np.testing.assert_array_equal(truncated, [result[3] for result in results])
         same(observations, stacked(expected))
+    same(envs.render()[-1], singles[-1].render())
     bodies, counts = envs.bodies
     for i, env in enumerate(singles):
         assert envs.get_state(i) == env.get_state()
@@ -213,17 +215,6 @@ def test_reset_takes_scenes_and_dynamics() -> None:
         assert [envs.envs[row].simulation.dynamics for row in range(2)] == expected[1]
     with pytest.raises(ValueError, match="reset options"):
         envs.reset(options={"scenes": moved})
-
-
-def test_render_returns_a_frame_of_every_sub_environment() -> None:
-    envs = vector(MIXED, render_mode="rgb_array")
-    envs.reset(seed=0)
-    frames = envs.render()
-    assert frames is not None
-    env = single(MIXED[1], render_mode="rgb_array")
-    env.reset(seed=1)
-    np.testing.assert_array_equal(frames[1], env.render())
-    assert vector().render() is None
 
 
 # Which observations the caller owns
