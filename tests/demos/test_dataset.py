@@ -14,7 +14,7 @@ import pytest
 from magical.demos import Dataset, DatasetWriter, Trajectory
 from magical.errors import DatasetError, UnknownNameError
 from magical.tasks import get_task, register_task, unregister_task
-from tests.demos.conftest import MakeTrajectory
+from tests.demos.conftest import make_frames_trajectory, make_trajectory
 
 
 def assert_equal(a: Trajectory, b: Trajectory) -> None:
@@ -24,9 +24,7 @@ def assert_equal(a: Trajectory, b: Trajectory) -> None:
         np.testing.assert_equal(ours, theirs)
 
 
-def test_what_is_read_is_what_was_written(
-    tmp_path: Path, make_trajectory: MakeTrajectory, make_frames_trajectory: MakeTrajectory
-) -> None:
+def test_what_is_read_is_what_was_written(tmp_path: Path) -> None:
     made = [
         make_trajectory("magical/FixColour-TestAll-v0", metadata={"name": "me", "deep": [1, {}]}),
         make_trajectory(steps=4, expert_actions=[0, 17, 3, 3]),
@@ -50,9 +48,7 @@ def test_what_is_read_is_what_was_written(
         assert entry.has_labels == (ours.expert_actions is not None)
 
 
-def test_a_task_that_is_not_registered_is_listed_but_not_read(
-    tmp_path: Path, make_trajectory: MakeTrajectory
-) -> None:
+def test_a_task_that_is_not_registered_is_listed_but_not_read(tmp_path: Path) -> None:
     register_task(replace(get_task("MakeLine"), name="Gone", section=""))
     try:
         DatasetWriter(tmp_path).append(make_trajectory("magical/Gone-Demo-v0"))
@@ -79,7 +75,6 @@ def test_a_task_that_is_not_registered_is_listed_but_not_read(
 )
 def test_filter(
     small_dataset: Path,
-    make_frames_trajectory: MakeTrajectory,
     condition: dict[str, Any],
     expected: list[int] | str,
 ) -> None:

@@ -15,14 +15,12 @@ from magical.demos import Dataset, DatasetWriter, observations
 from magical.demos.export import BANNER, LAST_FRAME_REPEATS, export_minari, pull, push, video_frames
 from magical.errors import DatasetError
 from magical.observe import PRESETS
-from tests.demos.conftest import MakeTrajectory, Run
+from tests.demos.conftest import Run, make_frames_trajectory, make_trajectory
 
 REPO = "someone/demos"
 
 
-def test_info_counts_and_escapes(
-    small_dataset: Path, make_trajectory: MakeTrajectory, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_info_counts_and_escapes(small_dataset: Path, capsys: pytest.CaptureFixture[str]) -> None:
     writer, escapes = DatasetWriter(small_dataset), {"demonstrator": "\x1b[2J\x07"}
     longer = make_trajectory(steps=14, seed=4, expert_actions=[1] * 14, **escapes)
     writer.append(replace(longer, score=1.0, published_code_score=0.5))
@@ -56,7 +54,7 @@ def test_replays_agree_with_what_was_recorded(
 
 
 @pytest.fixture
-def mixed(small_dataset: Path, make_frames_trajectory: MakeTrajectory) -> Path:
+def mixed(small_dataset: Path) -> Path:
     """Three environments with poses, one with frames."""
     DatasetWriter(small_dataset).append(make_frames_trajectory(steps=4))
     return small_dataset
@@ -78,7 +76,7 @@ def test_a_video_has_the_first_of_each_environment_or_the_chosen(
     assert main(["demos", "video", str(mixed), "--out", str(out), "--index", "9"]) == 1
 
 
-def test_a_video_shows_both_views_and_the_score(make_frames_trajectory: MakeTrajectory) -> None:
+def test_a_video_shows_both_views_and_the_score() -> None:
     recorded = make_frames_trajectory()
     first, *_, last = video_frames(recorded)
     for start, view in ((0, "ego"), (384, "allo")):
@@ -92,7 +90,6 @@ def test_a_minari_export_is_lossless(
     mixed: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    make_trajectory: MakeTrajectory,
     run: Run,
 ) -> None:
     minari = pytest.importorskip("minari", reason="the minari extra is not installed")
@@ -181,7 +178,7 @@ def test_a_dataset_comes_back_from_the_hub_as_it_was(
 
 
 def test_what_may_not_be_pushed_and_what_the_hub_refuses_is_said_in_a_line(
-    hub: Hub, make_trajectory: MakeTrajectory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    hub: Hub, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def denied(**_: Any) -> None:
         raise OSError("401: log in\nand more")

@@ -16,14 +16,14 @@ from hypothesis import strategies as st
 from magical.demos import Dataset, DatasetWriter, Frames, Trajectory
 from magical.demos.trajectory import replay
 from magical.errors import DatasetError
-from tests.demos.conftest import MakeTrajectory
+from tests.demos.conftest import make_trajectory
 
 MB = 1 << 20
 Contents = dict[str, bytes]  # of an archive, by name
 
 
 @pytest.fixture(scope="module")
-def contents(tmp_path_factory: pytest.TempPathFactory, make_trajectory: MakeTrajectory) -> Contents:
+def contents(tmp_path_factory: pytest.TempPathFactory) -> Contents:
     folder = tmp_path_factory.mktemp("dataset")
     made = make_trajectory("MatchRegions-TestAll-v0", steps=3)
     with zipfile.ZipFile(folder / DatasetWriter(folder).append(made).file) as archive:

@@ -1,16 +1,10 @@
 """The published human demonstrations: reading them safely, importing, downloading."""
 
-import gzip
 import hashlib
 import os
-import pickle
 import shutil
-import sys
-from collections import OrderedDict, namedtuple
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
-from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -25,36 +19,9 @@ from magical.demos.human import (
 )
 from magical.errors import DownloadError, UnsafeFileError
 from magical.scene import Poses
-from tests.demos.conftest import Run
+from tests.demos.conftest import MODULE, Run, published, write
 
 ONE = "move-to-region/demo-MoveToRegion-Demo-v0-001.pkl.gz"
-MODULE = "milbench.baselines.saved_trajectories"
-Record = namedtuple("MILBenchTrajectory", ("acts", "obs", "rews", "infos"), module=MODULE)
-
-
-def published(steps: int = 2, seed: int = 0, **parts: Any) -> bytes:
-    """The pickle of a published file, of noise; every part can be replaced."""
-    rng = np.random.default_rng(seed)
-    frames = rng.integers(256, size=(steps + 1, 2, 384, 384, 3), dtype=np.uint8)
-    parts = {
-        "acts": rng.integers(18, size=steps),
-        "obs": [OrderedDict(allo=allo, ego=ego) for allo, ego in frames],
-        "env_name": "MoveToCorner-Demo-v0",
-        "score": 0.75,
-        **parts,
-    }
-    record = Record(parts.pop("acts"), parts.pop("obs"), [0] * steps, [{}] * steps)
-    names = ("milbench", "milbench.baselines", MODULE)
-    modules = dict.fromkeys(names, SimpleNamespace(MILBenchTrajectory=Record))
-    with patch.dict(sys.modules, modules):
-        data = pickle.dumps({"trajectory": record, **parts}, 3)
-    return data.replace(b"numpy._core.", b"numpy.core.")
-
-
-def write(path: Path, data: bytes, level: int = 1) -> Path:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(gzip.compress(data, level))
-    return path
 
 
 def test_imported_files_are_the_stored_ones(

@@ -13,7 +13,7 @@ from magical.errors import InvalidSceneError, TrajectoryError, UnknownNameError
 from magical.observe import PRESETS, PixelSpec
 from magical.scene import Poses, to_continuous
 from magical.tasks import get_task
-from tests.demos.conftest import MakeTrajectory
+from tests.demos.conftest import make_frames_trajectory, make_trajectory
 
 BODIES = np.zeros((3, 6, 6))
 FRAMES = np.zeros((3, 96, 96, 3), np.uint8)
@@ -97,9 +97,7 @@ def test_from_bodies_scores_by_both_rules() -> None:
             Trajectory.from_bodies("ClusterColour-Demo-v0", task.demo, [0], wrong)
 
 
-def test_actions_are_converted_to_those_that_move_everything_the_same(
-    make_trajectory: MakeTrajectory,
-) -> None:
+def test_actions_are_converted_to_those_that_move_everything_the_same() -> None:
     plain = make_trajectory(expert_actions=np.arange(12), policy_actions=np.arange(12))
     points = plain.with_action_space("continuous")
     for name in ("actions", "expert_actions", "policy_actions"):
@@ -115,7 +113,7 @@ OWN = PixelSpec((("ego", 2), ("allo", 3)), size=40, samples=2)
 
 
 @pytest.mark.parametrize("observation", [*PRESETS, "raw", "state", OWN])
-def test_observations_are_bit_identical(make_trajectory: MakeTrajectory, observation: Any) -> None:
+def test_observations_are_bit_identical(observation: Any) -> None:
     trajectory = make_trajectory("ClusterShape-TestAll-v0", steps=7)
     env_id = trajectory.env_id
     running = MagicalEnv(env_id.task, env_id.variant, observation=observation)
@@ -133,9 +131,7 @@ def test_observations_are_bit_identical(make_trajectory: MakeTrajectory, observa
 
 
 @pytest.mark.parametrize("preset", PRESETS)
-def test_recorded_frames_give_the_low_resolution_presets(
-    make_trajectory: MakeTrajectory, preset: str
-) -> None:
+def test_recorded_frames_give_the_low_resolution_presets(preset: str) -> None:
     with_poses = make_trajectory("magical/FixColour-TestAll-v0")
     frames = observations(with_poses, PixelSpec((("ego", 1), ("allo", 1)), separate=True))
     recorded = replace(with_poses, frames=frames, bodies=None, score=None)
@@ -143,9 +139,7 @@ def test_recorded_frames_give_the_low_resolution_presets(
 
 
 @pytest.mark.parametrize("observation", ["raw", "state", PixelSpec(samples=1), {"size": 48}])
-def test_recorded_frames_give_no_other_observation(
-    make_frames_trajectory: MakeTrajectory, observation: Any
-) -> None:
+def test_recorded_frames_give_no_other_observation(observation: Any) -> None:
     recorded = make_frames_trajectory()
     with pytest.raises(TrajectoryError, match=r"recording of|only frames"):
         observations(recorded, observation)
@@ -154,7 +148,7 @@ def test_recorded_frames_give_no_other_observation(
         observations(ego, "LoRes3EA")
 
 
-def test_states_need_velocities_and_views_a_name(make_trajectory: MakeTrajectory) -> None:
+def test_states_need_velocities_and_views_a_name() -> None:
     good = make_trajectory()
     poses = Trajectory.from_bodies(good.env_id, good.scene, good.actions, good.poses)
     np.testing.assert_equal(observations(poses, "LoRes4E"), observations(good, "LoRes4E"))
