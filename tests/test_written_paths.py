@@ -7,7 +7,7 @@ import pytest
 
 from magical.cli import main
 from magical.demos.generate import generate
-from tests.demos.conftest import Published
+from tests.demos.conftest import published, write
 
 ENV = "magical/MoveToRegion-Demo-v0"
 PLAN = """
@@ -42,8 +42,7 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A dataset, a published file, an entry and a plan, in a folder with a space in its name."""
     folder = tmp_path_factory.mktemp("other") / "the inputs"
     generate(ENV, 1, folder / "demos", workers=1)
-    (folder / "published").mkdir()
-    Published().write(folder / "published" / "demo.pkl.gz")
+    write(folder / "published" / "demo.pkl.gz", published())
     assert main(["evaluate", "noop", *EVALUATED.split(), "--out", str(folder / "entry")]) == 0
     (folder / "plan.toml").write_text(PLAN)
     return folder

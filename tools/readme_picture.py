@@ -10,7 +10,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 import magical
 from magical.demos.generate import demonstrate
-from magical.demos.reader import Frames
+from magical.demos.trajectory import Frames
 from magical.scene import View
 
 OUT = Path(__file__).resolve().parents[1] / "docs" / "images" / "tasks.webp"

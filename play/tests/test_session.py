@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from magical.demos import Actor, Dataset, DatasetWriter
-from magical.demos.summary import replay
+from magical.demos.trajectory import replay
 from magical.envs import EnvId
 from magical.envs.keys import Control, action_of, controls_of
 from magical.errors import DatasetError, PolicyError

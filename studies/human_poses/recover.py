@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from outlines import VIEW_WIDTH
 
 from magical.demos import Dataset, DatasetWriter, Trajectory
-from magical.demos.human import PublishedDemonstration, find_published, read_demonstration
+from magical.demos.human import FullFrames, find_published, read_demonstration
 from magical.physics import Simulation
 from magical.processes import map_in_order
 from magical.render import Renderer
@@ -63,18 +63,18 @@ def main() -> None:
 
 def recovered(file: Path) -> Trajectory | str:
     """The trajectory of the recovered poses, or why there is none."""
-    demonstration = read_demonstration(file)
-    recovery = recover(demonstration)
+    demonstration, frames = read_demonstration(file)
+    recovery = recover(demonstration, frames)
     if recovery.problem:
         return recovery.problem
-    found = {"recorded_score": demonstration.score, "recovery": recovery.metadata()}
+    found = {"recorded_score": demonstration.published_code_score, "recovery": recovery.metadata()}
     return Trajectory.from_bodies(
         demonstration.env_id,
-        demonstration.env_id.task_spec.demo,
+        demonstration.scene,
         demonstration.actions,
         recovery.bodies,
         demonstrator="human",
-        metadata={**demonstration.source, **found},
+        metadata={**demonstration.metadata, **found},
     )
 
 
@@ -109,18 +109,18 @@ class Recovery:
         }
 
 
-def recover(demonstration: PublishedDemonstration) -> Recovery:
+def recover(demonstration: Trajectory, frames: FullFrames) -> Recovery:
     """Recover the poses of all bodies at every time step, up to a frame that no poses explain."""
 
-    def frames(time: int) -> dict[View, NDArray[np.uint8]]:
-        return {view: of_view[time] for view, of_view in demonstration.frames.items()}
+    def at(time: int) -> dict[View, NDArray[np.uint8]]:
+        return {view: of_view[time] for view, of_view in frames.items()}
 
-    tracker = Tracker(demonstration.env_id.task_spec.demo)
-    moments = [tracker.start(frames(0))]
+    tracker = Tracker(demonstration.scene)
+    moments = [tracker.start(at(0))]
     for time, action in enumerate(demonstration.actions.tolist(), 1):
         if moments[-1].wrong > LIMIT:
             break
-        moments.append(tracker.follow(action, frames(time)))
+        moments.append(tracker.follow(action, at(time)))
     wrong = np.array([moment.wrong for moment in moments])
     return Recovery(
         np.stack([moment.bodies for moment in moments]),

@@ -3,8 +3,7 @@
 import json
 import subprocess
 import sys
-import tracemalloc
-from contextlib import ExitStack
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -12,13 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from conftest import SHARED
 from magical.demos import Dataset, DatasetWriter, Trajectory
 from magical.errors import DatasetError, UnknownNameError
 from magical.tasks import get_task, register_task, unregister_task
-from tests.demos.conftest import MakeTrajectory
-
-HUMAN_POSES = SHARED / "human-poses"
+from tests.demos.conftest import make_frames_trajectory, make_trajectory
 
 
 def assert_equal(a: Trajectory, b: Trajectory) -> None:
@@ -28,9 +24,7 @@ def assert_equal(a: Trajectory, b: Trajectory) -> None:
         np.testing.assert_equal(ours, theirs)
 
 
-def test_what_is_read_is_what_was_written(
-    tmp_path: Path, make_trajectory: MakeTrajectory, make_frames_trajectory: MakeTrajectory
-) -> None:
+def test_what_is_read_is_what_was_written(tmp_path: Path) -> None:
     made = [
         make_trajectory("magical/FixColour-TestAll-v0", metadata={"name": "me", "deep": [1, {}]}),
         make_trajectory(steps=4, expert_actions=[0, 17, 3, 3]),
@@ -54,9 +48,7 @@ def test_what_is_read_is_what_was_written(
         assert entry.has_labels == (ours.expert_actions is not None)
 
 
-def test_a_task_that_is_not_registered_is_listed_but_not_read(
-    tmp_path: Path, make_trajectory: MakeTrajectory
-) -> None:
+def test_a_task_that_is_not_registered_is_listed_but_not_read(tmp_path: Path) -> None:
     register_task(replace(get_task("MakeLine"), name="Gone", section=""))
     try:
         DatasetWriter(tmp_path).append(make_trajectory("magical/Gone-Demo-v0"))
@@ -68,30 +60,21 @@ def test_a_task_that_is_not_registered_is_listed_but_not_read(
         dataset[0]
 
 
-def test_an_episode_takes_at_most_150_kb(tmp_path: Path, make_trajectory: MakeTrajectory) -> None:
-    full = make_trajectory("magical/ClusterColour-TestAll-v0", steps=320, seed=3)
-    assert DatasetWriter(tmp_path).append(full).size <= 150_000
-
-
 @pytest.mark.parametrize(
     ("condition", "expected"),
     [
         ({"task": "MoveToCorner"}, [1, 3]),
         ({"task": "MakeLine"}, []),
         ({"task": "MoveToCornr"}, "did you mean 'MoveToCorner'"),
-        ({"variant": "TestAll"}, [2]),
         ({"variant": "Jitter"}, [3]),
         ({"variant": "demo"}, "not a variant"),
         ({"demonstrator": "other"}, [2]),
         ({"env_id": "MoveToCorner-Demo-LoRes4E-v0"}, [1]),
-        ({"env_id": "MoveToCornr-Demo-v0"}, "did you mean 'MoveToCorner'"),
-        ({"min_score": 0.0}, [1, 2, 3, 4]),
         ({"min_score": 0.9}, [4]),  # frames, of which only the published code's score is known
     ],
 )
 def test_filter(
     small_dataset: Path,
-    make_frames_trajectory: MakeTrajectory,
     condition: dict[str, Any],
     expected: list[int] | str,
 ) -> None:
@@ -109,46 +92,19 @@ def test_a_sample_depends_on_the_generator_alone(small_dataset: Path) -> None:
     dataset = Dataset.open(small_dataset)
     samples = [dataset.sample(2, np.random.default_rng(seed)).entries for seed in (0, 0, 1, 2, 3)]
     assert samples[0] == samples[1]
-    files = [tuple(entry.file for entry in sample) for sample in samples]
-    assert len(set(files)) > 1
-    assert all(list(names) == sorted(names) for names in files)
+    assert len({tuple(entry.file for entry in sample) for sample in samples}) > 1
     with pytest.raises(DatasetError, match="expected 4 trajectories, found 3"):
         dataset.sample(4, np.random.default_rng(0))
 
 
-APPEND_SOME = """
-import sys
-from magical.demos import Dataset, DatasetWriter
-source, target, index = sys.argv[1:]
-trajectory, writer = Dataset.open(source)[int(index)], DatasetWriter(target)
-for _ in sys.stdin:
-    writer.append(trajectory)
-    print("appended", flush=True)
-"""
-
-
-def test_three_processes_append_at_once(tmp_path: Path, small_dataset: Path) -> None:
-    path = tmp_path / "target"
-    with ExitStack() as stack:
-        jobs = [
-            stack.enter_context(
-                subprocess.Popen(
-                    [sys.executable, "-c", APPEND_SOME, small_dataset, path, str(index)],
-                    stdin=subprocess.PIPE,
-                    stdout=subprocess.PIPE,
-                )
-            )
-            for index in range(3)
-        ]
-        for _ in range(20):  # in each round all at once
-            for job in jobs:
-                job.stdin.write(b"\n")
-                job.stdin.flush()
-            for job in jobs:
-                assert job.stdout.readline() == b"appended\n"
-        for job in jobs:
-            job.communicate()  # closes its input, which ends it
-    assert sorted(t.seed for t in Dataset.open(path)) == [1] * 20 + [2] * 20 + [3] * 20
+def test_several_writers_append_at_once(tmp_path: Path, small_dataset: Path) -> None:
+    """In threads here, as processes would: what they share is the folder."""
+    writers = [DatasetWriter(tmp_path / "target") for _ in range(3)]
+    with ThreadPoolExecutor(3) as threads:
+        for _ in range(10):
+            list(threads.map(DatasetWriter.append, writers, Dataset.open(small_dataset)))
+    seeds = [entry.seed for entry in Dataset.open(tmp_path / "target").entries]
+    assert sorted(seeds) == [1] * 10 + [2] * 10 + [3] * 10
 
 
 KILLED = """
@@ -184,53 +140,27 @@ def test_a_full_disk_leaves_what_was_there(
     assert sorted(small_dataset.iterdir()) == before
 
 
-def test_reading_many_needs_the_memory_of_one(
-    tmp_path: Path, make_frames_trajectory: MakeTrajectory
-) -> None:
-    writer, one = DatasetWriter(tmp_path), make_frames_trajectory(steps=9)
-    for _ in range(12):
-        writer.append(one)
-
-    def peak(count: int) -> int:
-        tracemalloc.start()
-        for _ in Dataset.open(tmp_path)[:count]:
-            pass
-        found = tracemalloc.get_traced_memory()[1]
-        tracemalloc.stop()
-        return found
-
-    assert peak(12) < peak(2) + 10 * 96 * 96 * 3
-
-
 def test_folders_with_something_else_are_no_datasets(tmp_path: Path) -> None:
     (tmp_path / ".DS_Store").touch()
     assert len(Dataset.open(DatasetWriter(tmp_path).path)) == 0
     (tmp_path / "config.json").touch()
-    with pytest.raises(DatasetError, match=r"found one with \['config.json'\]"):
+    with pytest.raises(DatasetError, match=r"found \['config.json'\]"):
         DatasetWriter(tmp_path)
     with pytest.raises(DatasetError, match="expected a dataset"):
         Dataset.open(tmp_path / "none")
 
 
-def test_frames_of_the_human_demonstrations_are_read(human_trajectories: Path) -> None:
-    """They were written by version 1, with a manifest."""
+def test_the_stored_human_demonstrations_are_read(human_trajectories: Path) -> None:
+    """They were written by version 1, with a manifest; in another folder there are their poses."""
     dataset = Dataset.open(human_trajectories)
     lines = (human_trajectories / "manifest.jsonl").read_text().splitlines()[1:]
     for entry, line in zip(dataset.entries, map(json.loads, lines), strict=True):
         assert (entry.file, entry.length) == (line["file"], line["length"])
         assert (entry.env_id, entry.name) == (line["env_id"], line["source"])
         assert entry.published_code_score == line["published_code_score"]
-    assert dataset.sha256(dataset.entries[7]) == json.loads(lines[7])["sha256"]
-    first = dataset[0]
-    assert (first.bodies, first.frames["ego"].shape) == (None, (241, 96, 96, 3))
-
-
-@pytest.mark.skipif(not HUMAN_POSES.exists(), reason="the human demonstrations are not here")
-def test_poses_of_the_human_demonstrations_are_read() -> None:
-    dataset = Dataset.open(HUMAN_POSES)
-    assert len(dataset) == 203
-    first = dataset[0]
-    assert first.bodies.shape == (241, 13, 6)
-    assert np.isnan(first.bodies[..., 3:]).all()
+    assert (dataset[0].bodies, dataset[0].frames["ego"].shape) == (None, (241, 96, 96, 3))
+    poses = Dataset.open(human_trajectories.parent / "human-poses")
+    first = poses[0]
+    assert (len(poses), first.bodies.shape) == (203, (241, 13, 6))
     again = Trajectory.from_bodies(first.env_id, first.scene, first.actions, first.poses)
-    assert (again.score, again.published_code_score) == (first.score, first.published_code_score)
+    assert_equal(first, replace(again, demonstrator="human", metadata=first.metadata))

@@ -1,6 +1,8 @@
-"""Exports, read again by other libraries; the Hub is replaced by a folder."""
+"""The commands that show, replay and export, read again by other libraries; the Hub is a folder."""
 
+import json
 import shutil
+from dataclasses import replace
 from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
@@ -10,32 +12,52 @@ import pytest
 
 from magical.cli import main
 from magical.demos import Dataset, DatasetWriter, observations
-from magical.demos.export import (
-    BANNER,
-    LAST_FRAME_REPEATS,
-    export_minari,
-    pull,
-    push,
-    video_frames,
-)
+from magical.demos.export import BANNER, LAST_FRAME_REPEATS, export_minari, pull, push, video_frames
 from magical.errors import DatasetError
 from magical.observe import PRESETS
-from tests.demos.conftest import MakeTrajectory, Run
+from tests.demos.conftest import Run, make_frames_trajectory, make_trajectory
 
 REPO = "someone/demos"
 
 
+def test_info_counts_and_escapes(small_dataset: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    writer, escapes = DatasetWriter(small_dataset), {"demonstrator": "\x1b[2J\x07"}
+    longer = make_trajectory(steps=14, seed=4, expert_actions=[1] * 14, **escapes)
+    writer.append(replace(longer, score=1.0, published_code_score=0.5))
+    copy = writer.append(Dataset.open(small_dataset)[1])
+    assert main(["demos", "info", str(small_dataset), "--json"]) == 0
+    shown = capsys.readouterr()
+    assert all(line.isprintable() for line in (shown.out + shown.err).split("\n"))
+    result = json.loads(shown.out.splitlines()[-1])
+    assert (result["count"], result["duplicates"]) == (5, [[copy.file, "000001.npz"]])
+    corner = result["environments"][1]
+    assert corner["env_id"] == "magical/MoveToCorner-Demo-v0"
+    assert [corner[name] for name in ("count", "with_poses", "with_labels")] == [2, 2, 1]
+    assert (corner["lengths"], corner["score"], corner["published_code_score"]) == (
+        [12, 14],
+        0.5,
+        0.25,
+    )
+
+
+def test_replays_agree_with_what_was_recorded(
+    small_dataset: Path, tmp_path: Path, run: Run
+) -> None:
+    writer = DatasetWriter(tmp_path / "other")
+    wrong = [{"score": 0.9}, {"published_code_score": 0.9}, {}]
+    for trajectory, changes in zip(Dataset.open(small_dataset), wrong, strict=True):
+        writer.append(replace(trajectory, **changes))
+    status, result = run("replay", writer.path)
+    assert (status, result["agree"]) == (0, 1)
+    assert [one["agrees"] for one in result["replays"]] == [False, False, True]
+    assert [one["departure"] for one in result["replays"]] == [0.0] * 3
+
+
 @pytest.fixture
-def mixed(
-    tmp_path: Path, make_trajectory: MakeTrajectory, make_frames_trajectory: MakeTrajectory
-) -> Path:
-    """Two environments with poses, one with frames."""
-    writer = DatasetWriter(tmp_path / "mixed")
-    for seed in (1, 2):
-        writer.append(make_trajectory(steps=6, seed=seed))
-    writer.append(make_trajectory("magical/MatchRegions-TestAll-v0", steps=5, seed=3))
-    writer.append(make_frames_trajectory(steps=4))
-    return writer.path
+def mixed(small_dataset: Path) -> Path:
+    """Three environments with poses, one with frames."""
+    DatasetWriter(small_dataset).append(make_frames_trajectory(steps=4))
+    return small_dataset
 
 
 def test_a_video_has_the_first_of_each_environment_or_the_chosen(
@@ -43,18 +65,18 @@ def test_a_video_has_the_first_of_each_environment_or_the_chosen(
 ) -> None:
     av = pytest.importorskip("av", reason="the video extra is not installed")
     out = tmp_path / "video.mp4"
-    status, result = run("video", mixed, "--out", out)
-    assert (status, result["count"]) == (0, 3)
+    status, result = run("video", mixed, "--out", out, "--index", 3)
+    assert (status, result["count"]) == (0, 1)
     with av.open(str(out)) as video:
         frames = list(video.decode(video=0))
-    assert result["frames"] == len(frames) == 7 + 6 + 5 + 3 * LAST_FRAME_REPEATS
+    assert result["frames"] == len(frames) == 5 + LAST_FRAME_REPEATS
     assert frames[0].to_ndarray(format="rgb24").shape == (384 + BANNER, 768, 3)
     assert [float(frame.pts * frame.time_base) for frame in frames[:3]] == [0.0, 1 / 8, 2 / 8]
-    assert run("video", mixed, "--out", out, "--index", 3)[1]["frames"] == 5 + LAST_FRAME_REPEATS
+    assert run("video", mixed, "--out", out)[1]["count"] == 4
     assert main(["demos", "video", str(mixed), "--out", str(out), "--index", "9"]) == 1
 
 
-def test_a_video_shows_both_views_and_the_score(make_frames_trajectory: MakeTrajectory) -> None:
+def test_a_video_shows_both_views_and_the_score() -> None:
     recorded = make_frames_trajectory()
     first, *_, last = video_frames(recorded)
     for start, view in ((0, "ego"), (384, "allo")):
@@ -64,19 +86,19 @@ def test_a_video_shows_both_views_and_the_score(make_frames_trajectory: MakeTraj
     assert (first[:BANNER] != last[:BANNER]).any()
 
 
-@pytest.mark.parametrize("preset", ["LoRes4E", "LoResStack"])
 def test_a_minari_export_is_lossless(
-    mixed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, preset: str
+    mixed: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    run: Run,
 ) -> None:
     minari = pytest.importorskip("minari", reason="the minari extra is not installed")
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "minari"))
     dataset = Dataset.open(mixed)
-    names = export_minari(dataset, name="mine", preset=preset)
-    assert sorted(minari.list_local_datasets()) == sorted(names)
-    for name in names:
-        task, variant, _ = name.split("/")[1].split("-")
+    for name in export_minari(dataset, name="mine"):
+        task, variant, preset = name.split("/")[1].split("-")
         part, loaded = dataset.filter(task=task, variant=variant), minari.load_dataset(name)
-        assert loaded.observation_space == PRESETS[preset].space
+        assert loaded.observation_space == PRESETS["LoRes4E"].space
         assert loaded.action_space.n == 18
         for episode, trajectory in zip(loaded, part, strict=True):
             np.testing.assert_equal(episode.observations, observations(trajectory, preset))
@@ -84,24 +106,17 @@ def test_a_minari_export_is_lossless(
             assert episode.truncations.tolist() == [False] * (len(trajectory) - 1) + [True]
             assert not episode.terminations.any()
             assert episode.infos["published_code_score"][-1] == trajectory.published_code_score
-    recovered = minari.load_dataset(names[0]).recover_environment()
-    assert recovered.observation_space == PRESETS[preset].space
-    recovered.reset(seed=0)
-    assert [recovered.step(0)[3] for _ in range(6)] == [False] * 5 + [True]
+        recovered = loaded.recover_environment()
+        assert recovered.observation_space == PRESETS["LoRes4E"].space
+        recovered.reset(seed=0)
+        assert [recovered.step(0)[3] for _ in range(len(trajectory))][-2:] == [False, True]
     with pytest.raises(DatasetError, match="Minari refuses"):
-        export_minari(dataset, name="mine", preset=preset)
-
-
-def test_labels_are_infos_beside_the_executed_actions(
-    tmp_path: Path, make_trajectory: MakeTrajectory, monkeypatch: pytest.MonkeyPatch, run: Run
-) -> None:
-    minari = pytest.importorskip("minari", reason="the minari extra is not installed")
-    writer = DatasetWriter(tmp_path / "labelled")
-    writer.append(make_trajectory(steps=3, seed=1, actors=[0, 2, 0]))
-    writer.append(make_trajectory(steps=3, seed=2, expert_actions=[17, 0, 4]))
-    monkeypatch.setenv("MINARI_DATASETS_PATH", "")
-    command = ("export", writer.path, "--to", "minari", "--out", tmp_path / "minari")
-    status, result = run(*command)
+        export_minari(dataset, name="mine")
+    labelled = DatasetWriter(tmp_path / "labelled")
+    labelled.append(make_trajectory(steps=3, seed=1, actors=[0, 2, 0]))
+    labelled.append(make_trajectory(steps=3, seed=2, expert_actions=[17, 0, 4]))
+    command = ("export", labelled.path, "--to", "minari", "--out", tmp_path / "other")
+    status, result = run(*command, "--preset", "LoResStack")
     assert (status, result["episodes"]) == (0, 2)
     first, second = minari.load_dataset(result["datasets"][0])
     assert "expert_action" not in first.infos
@@ -114,6 +129,7 @@ class Hub:
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.created = folder, list[dict[str, Any]]()
+        folder.mkdir()
 
     def create_repo(self, **options: Any) -> str:
         self.created.append(options)
@@ -138,7 +154,6 @@ class Hub:
 @pytest.fixture
 def hub(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Hub:
     library = pytest.importorskip("huggingface_hub", reason="the hub extra is not installed")
-    (tmp_path / "hub").mkdir()
     made = Hub(tmp_path / "hub")
     monkeypatch.setattr(library, "HfApi", lambda: made)
     monkeypatch.setattr(library, "snapshot_download", made.snapshot_download)
@@ -150,8 +165,7 @@ def test_a_dataset_comes_back_from_the_hub_as_it_was(
 ) -> None:
     dataset, back = Dataset.open(small_dataset), str(tmp_path / "back")
     status, result = run("push", small_dataset, REPO, "--licence", "cc-by-4.0", "--private")
-    assert (status, result["count"]) == (0, 3)
-    assert hub.created[0]["private"]
+    assert (status, result["count"], hub.created[0]["private"]) == (0, 3, True)
     card = (hub.folder / "README.md").read_text()
     assert card.startswith("---\nlicense: cc-by-4.0\n")
     assert "- 1 of magical/FindDupe-TestAll-v0 by other" in card
@@ -163,22 +177,18 @@ def test_a_dataset_comes_back_from_the_hub_as_it_was(
     assert list(pull(REPO, tmp_path / "some").entries) == list(dataset.entries[1:])
 
 
-def test_published_demonstrations_are_not_pushed(
-    hub: Hub, make_trajectory: MakeTrajectory, tmp_path: Path
-) -> None:
-    source = {"source": "demo-1.pkl.gz", "source_sha256": "a" * 64}
-    DatasetWriter(tmp_path / "human").append(make_trajectory(metadata=source))
-    with pytest.raises(DatasetError, match=r"without a licence, such as demo-1\.pkl\.gz"):
-        push(Dataset.open(tmp_path / "human"), REPO, "cc-by-4.0")
-    assert not hub.created
-
-
-def test_what_the_hub_refuses_is_said_in_a_line(
-    hub: Hub, small_dataset: Path, monkeypatch: pytest.MonkeyPatch
+def test_what_may_not_be_pushed_and_what_the_hub_refuses_is_said_in_a_line(
+    hub: Hub, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def denied(**_: Any) -> None:
         raise OSError("401: log in\nand more")
 
     monkeypatch.setattr(hub, "create_repo", denied)
+    writer = DatasetWriter(tmp_path / "human")
+    writer.append(make_trajectory())
     with pytest.raises(DatasetError, match=r"^someone/demos on the Hub: 401: log in$"):
-        push(Dataset.open(small_dataset), REPO, "mit")
+        push(Dataset.open(writer.path), REPO, "mit")
+    source = {"source": "demo-1.pkl.gz", "source_sha256": "a" * 64}
+    writer.append(make_trajectory(metadata=source))
+    with pytest.raises(DatasetError, match=r"without a licence, such as demo-1\.pkl\.gz"):
+        push(Dataset.open(writer.path), REPO, "mit")

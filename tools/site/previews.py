@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from magical.demos.generate import demonstrate
-from magical.demos.reader import Frames
+from magical.demos.trajectory import Frames
 from magical.envs import EnvId
 from magical.processes import checked_workers, map_in_processes
 from magical.report.figures import Clip

@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from magical.demos import Dataset, Trajectory
-from magical.demos.reader import TrajectorySource
+from magical.demos.trajectory import TrajectorySource
 from magical.envs.action_spec import Actions, spec_of
 from magical.errors import DemonstrationsError, TrajectoryError
+from magical.files import sha256_sum
 from magical.observe import ObservationSpec
 from magical.observe.arrays import stack_indices
 from magical.scene import NOOP
@@ -72,7 +73,10 @@ def sample_demonstrations(
             trajectories += [(task, each.with_action_space(config.action_space)) for each in some]
         except TrajectoryError as error:
             raise DemonstrationsError(f"this learner takes discrete actions: {error}") from error
-        record += [{"task": task, "file": e.file, "sha256": some.sha256(e)} for e in some.entries]
+        record += [
+            {"task": task, "file": e.file, "sha256": sha256_sum(some.path / e.file)}
+            for e in some.entries
+        ]
     return tuple(trajectories), record
 
 

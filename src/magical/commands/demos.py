@@ -14,7 +14,9 @@ from statistics import fmean
 from typing import Any
 
 from magical.commands import _common as common
-from magical.demos import Dataset, DatasetWriter, export, generate, human, summary
+from magical.demos import Dataset, DatasetWriter, export, generate, human
+from magical.demos.dataset import summarise
+from magical.demos.trajectory import replay
 from magical.envs import parse_env_id
 from magical.errors import DatasetError, DownloadError
 from magical.grouping import group_by
@@ -167,7 +169,7 @@ def _generate(args: Args) -> Result:
 
 
 def _info(args: Args) -> Result:
-    summaries, duplicates = summary.summarise(args.dataset.entries), args.dataset.duplicates()
+    summaries, duplicates = summarise(args.dataset.entries), args.dataset.duplicates()
     common.print_records(summaries)
     _log_duplicates(duplicates)
     return {"count": len(args.dataset), "environments": summaries, "duplicates": duplicates}
@@ -178,7 +180,7 @@ def _replay(args: Args) -> Result:
     with ProgressBar("replay", len(args.dataset)) as bar:
         for entry, trajectory in zip(args.dataset.entries, args.dataset, strict=True):
             recorded = {"env_id": str(entry.env_id), "recorded": entry.published_code_score}
-            replays.append({"file": entry.file, **recorded, **asdict(summary.replay(trajectory))})
+            replays.append({"file": entry.file, **recorded, **asdict(replay(trajectory))})
             bar.advance()
     scores = ("recorded", "published_code_score", "score")
     common.print_records(

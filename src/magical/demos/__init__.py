@@ -7,9 +7,8 @@ for trajectory in Dataset.open("demos").filter(task="MoveToCorner", min_score=0.
 """
 
 from magical.demos.dataset import Dataset, DatasetWriter, Entry
-from magical.demos.reader import Frames, TrajectorySource, observations
 from magical.demos.record import RecordTrajectories
-from magical.demos.trajectory import Actor, Trajectory
+from magical.demos.trajectory import Actor, Frames, Trajectory, TrajectorySource, observations
 
 __all__ = [
     "Actor",

@@ -3,7 +3,7 @@
 A file holds `header` (JSON as uint8), `actions` (T,) uint8, or (T, 3) float64 if continuous, and
 `bodies` (T + 1, 5 + blocks, 6) float64 or `frames_allo` and `frames_ego` (T + 1, 96, 96, 3) uint8,
 or all of them; and `expert_actions`, `policy_actions` and `actors` if the trajectory has them. In
-version 1 `poses` and `velocities`, both (T + 1, 5 + blocks, 3), were apart.
+version 1 there are `poses` (T + 1, 5 + blocks, 3) instead of `bodies`.
 
 Files may come from anybody: what they declare is compared with limits before memory is taken, and
 no pickle is loaded.
@@ -11,12 +11,13 @@ no pickle is loaded.
 
 import hashlib
 import json
-import math
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from operator import attrgetter
 from pathlib import Path
-from typing import Annotated, Any, Literal, overload
+from typing import Annotated, Any, overload
 from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipFile
 
 import numpy as np
@@ -25,10 +26,11 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from magical.demos.trajectory import ACTION_COLUMNS, VIEWS, Trajectory, without_velocities
-from magical.envs.action_spec import ActionSpaceName
+from magical.envs.action_spec import ActionSpaceName, spec_of
 from magical.envs.ids import EnvId, parse_env_id, split_env_id
 from magical.errors import DatasetError, MagicalError, TrajectoryError
-from magical.files import MAX_BYTES, parse_json, write_atomically
+from magical.files import MAX_BYTES, convert, parse_json, write_atomically
+from magical.grouping import group_by
 from magical.messages import printable, quoted
 from magical.scene import Dynamics, Scene
 from magical.tasks import get_task
@@ -38,27 +40,11 @@ SUFFIX = ".npz"
 MAX_FILE = 64 << 20  # bytes on disk; the largest human recording has 0.6 MB
 MAX_UNPACKED = 512 << 20  # bytes of all arrays together
 MAX_MEMBERS = 16
-MAX_ACTIONS = 1 << 21  # numbers; a discrete one takes a step of 1/8 s
-MAX_MESSAGE = 1000  # characters of an error
-_FIELDS = ("seed", "score", "published_code_score", "demonstrator", "metadata")
+MAX_ACTIONS = 1 << 21  # bytes; a discrete action has one
+FORMATS = ("magical-trajectory", 1), ("magical-trajectory", 2)
+_FIELDS = ("seed", "score", "published_code_score", "demonstrator", "metadata")  # of the header
 
 Score = Annotated[float, Meta(ge=0.0, le=1.0)]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Header:
-    """The header of a file; `env_id` is split, but its task may not be installed here."""
-
-    format: Literal["magical-trajectory"]
-    version: Literal[1, 2]
-    env_id: Annotated[str, Meta(pattern=r"\A[\w/-]{1,200}\Z")]
-    seed: Annotated[int, Meta(ge=0)] | None
-    score: Score | None
-    published_code_score: Score
-    demonstrator: str
-    metadata: dict[str, Any]
-    scene: dict[str, Any]
-    dynamics: dict[str, Any]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,14 +52,16 @@ class Entry:
     """What a dataset knows of a trajectory without reading its arrays."""
 
     file: str  # relative to the dataset's folder
-    env_id: EnvId
+    env_id: EnvId  # of a task that need not be installed here
     length: int  # control steps
     action_space: ActionSpaceName
-    seed: int | None
-    score: float | None
-    published_code_score: float
+    seed: Annotated[int, Meta(ge=0)] | None
+    score: Score | None
+    published_code_score: Score
     demonstrator: str
-    metadata: Mapping[str, Any] = field(hash=False)
+    metadata: dict[str, Any] = field(hash=False)
+    scene: dict[str, Any] = field(hash=False, repr=False)
+    dynamics: dict[str, Any] = field(hash=False, repr=False)
     has_poses: bool
     has_labels: bool  # actions to imitate in addition to the executed ones
     size: int  # bytes on disk
@@ -127,10 +115,9 @@ class Dataset(Sequence[Trajectory]):
             raise DatasetError(f"{folder}: expected a dataset, a folder with {SUFFIX} files")
         # An empty file is one that is being written, or whose writer was killed.
         files = (file for file in sorted(folder.rglob(f"*{SUFFIX}")) if file.stat().st_size)
-        return cls(folder, [_read_entry(file, folder) for file in files])
+        return cls(folder, [_entry(file, folder) for file in files])
 
     def __len__(self) -> int:
-        """The number of trajectories."""
         return len(self.entries)
 
     @overload
@@ -143,22 +130,10 @@ class Dataset(Sequence[Trajectory]):
         """One trajectory, read and checked now; for a slice, part of the dataset."""
         if isinstance(index, slice):
             return Dataset(self.path, self.entries[index])
-        return self.read(self.entries[index])
-
-    def __iter__(self) -> Iterator[Trajectory]:
-        """Read the trajectories one after another."""
-        return map(self.read, self.entries)
+        return _read(self.path / self.entries[index].file)
 
     def __repr__(self) -> str:
         return f"Dataset({str(self.path)!r}, {len(self)} trajectories)"
-
-    def read(self, entry: Entry) -> Trajectory:
-        """Read and check the trajectory of an entry, as `read_trajectory`."""
-        return read_trajectory(self.path / entry.file)
-
-    def sha256(self, entry: Entry) -> str:
-        """The SHA-256 sum of an entry's file."""
-        return hashlib.sha256((self.path / entry.file).read_bytes()).hexdigest()
 
     def filter(
         self,
@@ -171,28 +146,23 @@ class Dataset(Sequence[Trajectory]):
     ) -> "Dataset":
         """The part of the dataset that meets all given conditions; reads no trajectories.
 
-        `variant` is a name such as `TestJitter` or `Jitter`; a preset in `env_id` is ignored;
-        `min_score` bounds the appendix's score, or the published code's where poses are unknown.
+        `variant` is a name such as `TestJitter` or `Jitter`; `env_id` stands for its task and
+        variant; `min_score` bounds the appendix's score, or the published code's where poses are
+        unknown. Raises `UnknownNameError` for a misspelt name.
         """
+        if env_id is not None:
+            task, variant = split_env_id(env_id).task, split_env_id(env_id).variant
         # A name that is not in the dataset is not an error; a misspelt one is.
         if task and all(task != entry.task for entry in self.entries):
             get_task(task)
         if variant and all(variant != entry.variant for entry in self.entries):
             variant = full_variant(variant)
-        wanted = env_id and split_env_id(env_id).without_preset
-        if wanted and all(wanted != entry.env_id for entry in self.entries):
-            parse_env_id(str(wanted))
-        conditions = {
-            "task": task,
-            "variant": variant,
-            "env_id": wanted,
-            "demonstrator": demonstrator,
-        }
-        given = {name: value for name, value in conditions.items() if value is not None}
         kept = [
             entry
             for entry in self.entries
-            if all(getattr(entry, name) == value for name, value in given.items())
+            if (task is None or entry.task == task)
+            and (variant is None or entry.variant == variant)
+            and (demonstrator is None or entry.demonstrator == demonstrator)
             and (min_score is None or entry.final_score >= min_score)
         ]
         return Dataset(self.path, kept)
@@ -219,43 +189,38 @@ class Dataset(Sequence[Trajectory]):
 class DatasetWriter:
     """Appends to a dataset, created if it does not exist; several processes may append at once.
 
-    Files are numbered. They get their names only when they are complete.
-
-    Raises:
-        DatasetError: the folder contains other files, or cannot be written.
+    Files are numbered, and have contents only when they are complete. Raises `DatasetError` if the
+    folder contains other files, or cannot be written.
     """
 
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path)
         with self._writing():
             self.path.mkdir(parents=True, exist_ok=True)
-            names = [file.name for file in self.path.iterdir() if file.is_file()]
-        numbers = [int(n.removesuffix(SUFFIX)) for n in names if n.removesuffix(SUFFIX).isdigit()]
+            names = sorted(file.name for file in self.path.glob("[!.]*") if file.is_file())
+        stems = [name.removesuffix(SUFFIX) for name in names]
+        numbers = [int(stem) for stem in stems if stem.isdigit()]
+        if names and not numbers:
+            raise DatasetError(f"{self.path}: expected a dataset, found {quoted(names)}")
         self._next = max(numbers, default=-1) + 1
-        others = [name for name in names if not name.startswith(".")]
-        if others and not self._next:
-            raise DatasetError(
-                f"{self.path}: expected a dataset, or an empty or a new folder, found one with "
-                f"{quoted(sorted(others))}"
-            )
 
     def append(self, trajectory: Trajectory) -> Entry:
         """Store a trajectory; on failure, as on a full disk, the dataset stays as it was."""
         arrays = _to_arrays(trajectory)
         with self._writing():
-            while (path := self.path / f"{self._next:06d}{SUFFIX}").exists():
+            while True:
+                path = self.path / f"{self._next:06d}{SUFFIX}"
                 self._next += 1
-            try:
-                path.touch(exist_ok=False)  # reserves the number
-            except FileExistsError:  # another process has taken it just now
-                return self.append(trajectory)
+                with suppress(FileExistsError):  # another process has taken the number
+                    path.touch(exist_ok=False)
+                    break
             try:
                 with write_atomically(path) as file:
                     np.savez_compressed(file, allow_pickle=False, **arrays)
             except BaseException:
                 path.unlink()
                 raise
-        return _read_entry(path, self.path)
+        return _entry(path, self.path)
 
     @contextmanager
     def _writing(self) -> Iterator[None]:
@@ -266,96 +231,82 @@ class DatasetWriter:
             raise DatasetError(f"{where}: cannot be written: {error.strerror or error}") from error
 
 
-def read_trajectory(path: Path) -> Trajectory:
+def _entry(path: Path, folder: Path) -> Entry:
+    with _opened(path, folder) as (_, entry, _):
+        return entry
+
+
+def _read(path: Path) -> Trajectory:
     """Read a trajectory's file; raises `DatasetError` if it is damaged, too large, or another."""
-    with _opened(path) as (archive, header, names):
-        _shape(archive, "actions", MAX_ACTIONS)
-        arrays = {name: _load(archive, name) for name in names - {"header"}}
+    with _opened(path, path.parent) as (archive, entry, actions):
+        names = {info.filename.removesuffix(".npy") for info in archive.infolist()}
+        arrays = {name: _load(archive, name) for name in names - {"header", "actions"}}
         frames = {view: arrays[f"frames_{view}"] for view in VIEWS if f"frames_{view}" in arrays}
         bodies = arrays.get("bodies")
-        if header.version == 1 and (poses := arrays.get("poses")) is not None:
-            speeds = arrays.get("velocities")
-            bodies = without_velocities(poses) if speeds is None else np.dstack([poses, speeds])
+        if bodies is None and "poses" in arrays:
+            bodies = without_velocities(arrays["poses"])
         return Trajectory(
-            env_id=parse_env_id(header.env_id),
-            **{name: getattr(header, name) for name in _FIELDS},
-            scene=Scene.from_dict(header.scene),
-            dynamics=Dynamics.from_dict(header.dynamics),
-            **{name: arrays.get(name) for name in (*ACTION_COLUMNS, "actors")},  # type: ignore[arg-type]
+            env_id=parse_env_id(str(entry.env_id)),
+            **{name: getattr(entry, name) for name in _FIELDS},
+            scene=Scene.from_dict(entry.scene),
+            dynamics=Dynamics.from_dict(entry.dynamics),
+            actions=actions,
+            **{name: arrays.get(name) for name in (*ACTION_COLUMNS[1:], "actors")},  # type: ignore[arg-type]
             bodies=bodies,
             frames=frames or None,
         )
 
 
-def _read_entry(path: Path, folder: Path) -> Entry:
-    with _opened(path) as (archive, header, names):
-        shape = _shape(archive, "actions", MAX_ACTIONS)
-        parts = {info.filename: info.CRC for info in archive.infolist()}
-        parts.pop("header.npy")
-        return Entry(
-            file=path.relative_to(folder).as_posix(),
-            env_id=split_env_id(header.env_id),  # its task may be of a package not installed here
-            **{name: getattr(header, name) for name in _FIELDS},
-            length=shape[0],
-            action_space="discrete" if len(shape) == 1 else "continuous",
-            has_poses=bool({"bodies", "poses"} & names),
-            has_labels="expert_actions" in names,
-            size=path.stat().st_size,
-            fingerprint=hashlib.sha256(repr(sorted(parts.items())).encode()).hexdigest()[:16],
-        )
-
-
 @contextmanager
-def _opened(path: Path) -> Iterator[tuple[ZipFile, _Header, set[str]]]:
-    """Open a file; gives the archive, the header and the names of the arrays.
-
-    Any error in the block becomes a `DatasetError` that names the file.
-    """
+def _opened(path: Path, folder: Path) -> Iterator[tuple[ZipFile, Entry, NDArray[Any]]]:
+    """Open a file; any error in the block becomes a `DatasetError` that names it."""
     try:
-        if path.stat().st_size > MAX_FILE:
+        if (size := path.stat().st_size) > MAX_FILE:
             raise DatasetError(f"expected at most {MAX_FILE} bytes, found more")
         with ZipFile(path) as archive:
-            names, text = _names(archive), _load(archive, "header", MAX_BYTES).tobytes()
-            yield archive, parse_json(text, _Header, "header", DatasetError), names
+            infos = archive.infolist()
+            if len(infos) > MAX_MEMBERS or sum(info.file_size for info in infos) > MAX_UNPACKED:
+                raise DatasetError(f"expected {MAX_MEMBERS} arrays, {MAX_UNPACKED} bytes at most")
+            if any(info.compress_type not in (ZIP_STORED, ZIP_DEFLATED) for info in infos):
+                raise DatasetError("expected deflated data: another compression needs gigabytes")
+            actions = _load(archive, "actions", MAX_ACTIONS)
+            text = _load(archive, "header", MAX_BYTES).tobytes()
+            header = parse_json(text, dict[str, Any], "header", DatasetError)
+            kind = header.pop("format", None), header.pop("version", None)
+            if kind not in FORMATS or not re.fullmatch(r"[\w/-]{1,200}", header["env_id"]):
+                raise DatasetError(f"expected a trajectory, found {quoted(kind)}")
+            parts = {info.filename: info.CRC for info in infos if info.filename != "header.npy"}
+            digest = hashlib.sha256(repr(sorted(parts.items())).encode()).hexdigest()
+            header |= {
+                "file": path.relative_to(folder).as_posix(),
+                "env_id": split_env_id(header["env_id"]),
+                "length": len(actions),
+                "action_space": spec_of(actions).name,
+                "has_poses": "bodies.npy" in parts or "poses.npy" in parts,
+                "has_labels": "expert_actions.npy" in parts,
+                "size": size,
+                "fingerprint": digest[:16],
+            }
+            yield archive, convert(header, Entry, "header", DatasetError), actions
     except MagicalError as error:
-        raise DatasetError(f"{path}: {printable(str(error), MAX_MESSAGE)}") from error
+        raise DatasetError(f"{path}: {printable(str(error), 1000)}") from error
     except Exception as error:  # zipfile, zlib, NumPy and the constructors raise many kinds
         what = printable(f"{type(error).__name__}: {error}")
         raise DatasetError(f"{path}: expected a trajectory, found another file: {what}") from error
 
 
-def _names(archive: ZipFile) -> set[str]:
-    """The arrays' names; raises `DatasetError` if the archive declares too much."""
-    infos = archive.infolist()
-    if len(infos) > MAX_MEMBERS or sum(info.file_size for info in infos) > MAX_UNPACKED:
-        raise DatasetError(f"expected {MAX_MEMBERS} arrays and {MAX_UNPACKED} bytes at most")
-    if any(info.compress_type not in (ZIP_STORED, ZIP_DEFLATED) for info in infos):
-        raise DatasetError("expected deflated data, found another compression")  # needs gigabytes
-    return {info.filename.removesuffix(".npy") for info in infos}
-
-
-def _shape(archive: ZipFile, name: str, most: int = MAX_UNPACKED) -> tuple[int, ...]:
-    """The shape, of at most `most` numbers, that an array declares, if its bytes are those."""
+def _load(archive: ZipFile, name: str, most: int = MAX_UNPACKED) -> NDArray[Any]:
+    """An array of at most `most` bytes, whatever its header declares: NumPy would believe it."""
     with archive.open(f"{name}.npy") as file:
         npy.read_magic(file)
-        shape, _, dtype = npy.read_array_header_1_0(file)
-        size = archive.getinfo(f"{name}.npy").file_size - file.tell()
-    if size != math.prod(shape) * dtype.itemsize or not 0 < math.prod(shape) <= most:
-        raise DatasetError(f"{printable(name)}: expected {size} bytes, found {dtype} {shape}")
-    return shape
-
-
-def _load(archive: ZipFile, name: str, most: int = MAX_UNPACKED) -> NDArray[Any]:
-    _shape(archive, name, most)
-    with archive.open(f"{name}.npy") as file:
-        array: NDArray[Any] = np.load(file, allow_pickle=False)
-        return array
+        shape, by_columns, dtype = npy.read_array_header_1_0(file)
+        data = file.read(most)  # of objects, NumPy makes no array
+    return np.frombuffer(data, dtype).reshape(shape, order="F" if by_columns else "C")
 
 
 def _to_arrays(trajectory: Trajectory) -> dict[str, NDArray[Any]]:
     header = {
-        "format": "magical-trajectory",
-        "version": 2,
+        **dict(zip(("format", "version"), FORMATS[-1], strict=True)),
         **{name: getattr(trajectory, name) for name in _FIELDS},
         "env_id": str(trajectory.env_id),
         "scene": trajectory.scene.to_dict(),
@@ -371,3 +322,26 @@ def _to_arrays(trajectory: Trajectory) -> dict[str, NDArray[Any]]:
     for view, frames in (trajectory.frames or {}).items():
         arrays[f"frames_{view}"] = frames
     return arrays
+
+
+def summarise(entries: Iterable[Entry]) -> list[dict[str, Any]]:
+    """Counts and means of the trajectories of each environment, as plain data, sorted by id."""
+    return [
+        {
+            "env_id": str(env_id),
+            "count": len(group),
+            "with_poses": sum(entry.has_poses for entry in group),
+            "with_labels": sum(entry.has_labels for entry in group),
+            "lengths": [f(entry.length for entry in group) for f in (min, max)],
+            "score": _mean([entry.score for entry in group if entry.score is not None]),
+            "published_code_score": _mean([entry.published_code_score for entry in group]),
+            "bytes": sum(entry.size for entry in group),
+            "action_spaces": sorted({entry.action_space for entry in group}),
+            "demonstrators": sorted({entry.demonstrator for entry in group}),
+        }
+        for env_id, group in sorted(group_by(entries, attrgetter("env_id")).items())
+    ]
+
+
+def _mean(values: list[float]) -> float | None:
+    return sum(values) / len(values) if values else None

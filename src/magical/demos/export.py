@@ -15,8 +15,7 @@ from PIL import ImageDraw, ImageFont
 
 from magical import __version__
 from magical.demos.dataset import SUFFIX, Dataset
-from magical.demos.reader import Frames, observations
-from magical.demos.trajectory import VIEWS, Trajectory
+from magical.demos.trajectory import VIEWS, Frames, Trajectory, observations
 from magical.envs import EnvId, env_spec
 from magical.envs.action_spec import ActionSpec, action_spec
 from magical.errors import DatasetError
@@ -39,9 +38,8 @@ def write_video(trajectories: Iterable[Trajectory], path: Path | str) -> int:
     count = 0
     with write_atomically(path) as file, av.open(file, "w", format="mp4") as container:
         stream: Any = container.add_stream("libx264", Fraction(CONTROL_RATE), {"qp": "10"})
+        stream.height, stream.width = BANNER + RAW_FRAME_SIZE, RAW_FRAME_SIZE * len(VIEWS)
         for frame in (frame for trajectory in trajectories for frame in video_frames(trajectory)):
-            if not count:
-                stream.height, stream.width = frame.shape[:2]
             container.mux(stream.encode(av.VideoFrame.from_ndarray(frame, format="rgb24")))
             count += 1
         container.mux(stream.encode())
@@ -50,21 +48,19 @@ def write_video(trajectories: Iterable[Trajectory], path: Path | str) -> int:
 
 def video_frames(trajectory: Trajectory) -> Iterator[NDArray[np.uint8]]:
     """Both views side by side, (BANNER + 384, 768, 3) uint8, with the score if poses are known."""
-    poses, last = trajectory.poses, len(trajectory)
-    size = FRAME_SIZE if poses is None else RAW_FRAME_SIZE
+    poses, last, side = trajectory.poses, len(trajectory), RAW_FRAME_SIZE
+    size = FRAME_SIZE if poses is None else side
     shown = (trajectory.frames or {}) if poses is None else VIEWS
     sources = [Frames(trajectory, view, size) for view in VIEWS if view in shown]
     for time in [*range(last + 1), *[last] * LAST_FRAME_REPEATS]:
         score = f"{trajectory.published_code_score:.2f}" if time == last else "..."
         if poses is not None:
             score = f"{trajectory.task.score(trajectory.scene, Poses(poses[time])):.2f}"
-        image = PIL.Image.new(
-            "RGB", (RAW_FRAME_SIZE * len(VIEWS), BANNER + RAW_FRAME_SIZE), "white"
-        )
+        image = PIL.Image.new("RGB", (side * len(VIEWS), BANNER + side), "white")
         for i, source in enumerate(sources):
             view = PIL.Image.fromarray(source.take([time])[0])
-            view = view.resize((RAW_FRAME_SIZE, RAW_FRAME_SIZE), PIL.Image.Resampling.NEAREST)
-            image.paste(view, (i * RAW_FRAME_SIZE, BANNER))
+            view = view.resize((side, side), PIL.Image.Resampling.NEAREST)
+            image.paste(view, (i * side, BANNER))
         by = f"{trajectory.env_id}, {printable(trajectory.demonstrator, 40)}"
         text = f"{by}, step {time}/{last}, score {score}"
         ImageDraw.Draw(image).text((8, 6), text, (60, 60, 70), ImageFont.load_default(16))
@@ -142,28 +138,31 @@ def push(dataset: Dataset, repo: str, licence: str, *, private: bool = False) ->
 
     The repository `OWNER/NAME` is created if it does not exist, then private if that is asked for;
     `licence` is an identifier of the Hub, such as `cc-by-4.0`. Returns the repository's address.
-
-    Raises:
-        DatasetError: the dataset contains published human demonstrations, which carry no licence,
-            or is empty; the Hub refuses the upload or cannot be reached.
+    Raises `DatasetError` for published human demonstrations, which carry no licence, for an empty
+    dataset, and if the Hub refuses the upload or cannot be reached.
     """
     require("hub")
     from huggingface_hub import HfApi
 
-    human = [entry.name for entry in dataset.entries if "source_sha256" in entry.metadata]
-    if human or not dataset.entries:
+    entries = dataset.entries
+    human = [entry.name for entry in entries if "source_sha256" in entry.metadata]
+    if human or not entries:
         found = f"published ones without a licence, such as {human[0]}" if human else "none"
         raise DatasetError(f"{dataset.path}: expected demonstrations, found {printable(found)}")
+    counts = Counter((entry.env_id, entry.demonstrator) for entry in entries)
+    rows = [f"- {n} of {env_id} by {printable(by)}" for (env_id, by), n in sorted(counts.items())]
+    card = (
+        f"---\nlicense: {licence}\ntags: [magical-benchmark, imitation-learning]\n---\n"
+        "# Demonstrations for the MAGICAL benchmark\n\n" + "\n".join(rows) + "\n\n"
+        f'    pip install "magical-benchmark[hub]"\n    magical demos pull {repo} --out demos\n'
+    )
     with _hub_errors(repo):
         api: Any = HfApi()
         where = {"repo_id": repo, "repo_type": "dataset"}
         address = api.create_repo(**where, private=private, exist_ok=True)
-        files, own = [entry.file for entry in dataset.entries], [f"*{SUFFIX}"]
-        api.upload_folder(
-            **where, folder_path=dataset.path, allow_patterns=files, delete_patterns=own
-        )
-        text = _card(dataset, repo, licence).encode()
-        api.upload_file(**where, path_or_fileobj=text, path_in_repo="README.md")
+        chosen = {"allow_patterns": [e.file for e in entries], "delete_patterns": [f"*{SUFFIX}"]}
+        api.upload_folder(**where, folder_path=dataset.path, **chosen)
+        api.upload_file(**where, path_or_fileobj=card.encode(), path_in_repo="README.md")
     return str(address)
 
 
@@ -178,21 +177,9 @@ def pull(repo: str, out: Path | str, revision: str | None = None) -> Dataset:
         where: Any = {"repo_type": "dataset", "revision": revision, "local_dir": out}
         snapshot_download(repo, **where, allow_patterns=[f"*{SUFFIX}"])
     dataset = Dataset.open(out)
-    for entry in dataset.entries:
-        dataset.read(entry)
+    for _ in dataset:  # each file is read and checked
+        pass
     return dataset
-
-
-def _card(dataset: Dataset, repo: str, licence: str) -> str:
-    """The dataset card: its licence, what it contains, how to use it."""
-    counts = Counter((entry.env_id, entry.demonstrator) for entry in dataset.entries)
-    rows = [f"- {n} of {env_id} by {printable(by)}" for (env_id, by), n in sorted(counts.items())]
-    return (
-        f"---\nlicense: {licence}\ntags: [magical-benchmark, imitation-learning]\n---\n"
-        "# Demonstrations for the MAGICAL benchmark\n\n" + "\n".join(rows) + "\n\n"
-        f"Uploaded by magical {__version__}; each file holds its date, versions and platform.\n\n"
-        f'    pip install "magical-benchmark[hub]"\n    magical demos pull {repo} --out demos\n'
-    )
 
 
 @contextmanager

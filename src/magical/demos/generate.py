@@ -52,7 +52,7 @@ def generate(
         env_id: the environment's id; a preset in it is ignored.
         number: how many demonstrations of this series the dataset is to hold.
         out: the dataset's folder, created if it does not exist.
-        seed: seed of the series of attempts.
+        seed: of the series of attempts.
         first: index of the first attempt, to continue a series.
         perturb: share of steps with a random action; the `labels` to imitate stay the expert's.
         min_score: attempts with a lower score (by the appendix's rule) are dropped.
@@ -67,8 +67,6 @@ def generate(
     """
     parsed = parse_env_id(env_id).without_preset
     check_share("perturb", perturb)
-    if number < 1 or workers < 1:
-        raise ValueError(f"number, workers: expected at least 1, found {number}, {workers}")
     modules = modules_of(parsed.task) if workers > 1 else []
     writer = DatasetWriter(out)
     known = {
@@ -87,12 +85,14 @@ def generate(
             if score < min_score:
                 dropped += 1
                 if dropped > MAX_DROPPED * number:
-                    what = f"{dropped} attempts scored less than {min_score}"
-                    raise DatasetError(f"{env_id}: {what}; give a lower score, or perturb less")
+                    raise DatasetError(
+                        f"{env_id}: {dropped} attempts scored less than {min_score}; perturb less"
+                    )
                 continue
-            if trajectory is not None:
+            if trajectory is None:
+                already += 1
+            else:
                 writer.append(trajectory)
-            already += trajectory is None
             scores.append(score)
             progress(1)
     return GenerateReport(parsed, tuple(scores), already, dropped)

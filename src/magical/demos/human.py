@@ -6,7 +6,6 @@ published files stand for constructors of plain data here, and any other is refu
 """
 
 import gzip
-import hashlib
 import io
 import math
 import pickle
@@ -25,11 +24,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical.demos.dataset import Dataset, DatasetWriter
-from magical.demos.trajectory import Trajectory, checked_actions
-from magical.envs.action_spec import Actions
-from magical.envs.ids import EnvId, parse_env_id
+from magical.demos.trajectory import Trajectory
+from magical.envs.action_spec import DISCRETE
+from magical.envs.ids import parse_env_id
 from magical.errors import DatasetError, DownloadError, MagicalError, UnsafeFileError
 from magical.extras import require
+from magical.files import sha256_sum
 from magical.messages import printable, quoted
 from magical.processes import map_in_order
 from magical.scene import View
@@ -39,34 +39,11 @@ from magical.scene.constants import FRAME_SIZE, RAW_FRAME_SIZE
 COMMIT = "42eb21c4bd6c0e2262ccc2fc00ef2a36b10b6a5a"
 BASE_URL = f"https://raw.githubusercontent.com/qxcv/magical-data/{COMMIT}"
 SUFFIX = ".pkl.gz"
-MAX_FILE = 64 << 20  # bytes of a file; the largest published one has 2.5 MB
 MAX_UNPACKED = 512 << 20  # bytes of its pickle; the largest has 213 MB
 MAX_OPCODES = 200_000  # of a pickle, and so objects; the published ones have at most 17,500
 BINNING = RAW_FRAME_SIZE // FRAME_SIZE  # pixels averaged along each axis
 _SHAPE = (RAW_FRAME_SIZE, RAW_FRAME_SIZE, 3)
-
-
-@dataclass(frozen=True, slots=True)
-class PublishedDemonstration:
-    """A published demonstration of T actions."""
-
-    env_id: EnvId  # without a preset
-    actions: Actions  # (T,) int64
-    score: float  # by the published code's rule
-    source: Mapping[str, str]  # the file's name and SHA-256 sum
-    frames: Mapping[View, Sequence[NDArray[np.uint8]]]  # T + 1 frames (384, 384, 3) of each view
-
-    def trajectory(self) -> Trajectory:
-        """The trajectory of the frames averaged 4 x 4, without poses."""
-        return Trajectory(
-            env_id=self.env_id,
-            scene=self.env_id.task_spec.demo,  # every episode of a Demo environment has this scene
-            actions=self.actions,
-            frames={view: np.stack([*map(average, all_)]) for view, all_ in self.frames.items()},
-            published_code_score=self.score,
-            demonstrator="human",
-            metadata=self.source,
-        )
+FullFrames = Mapping[View, Sequence[NDArray[np.uint8]]]  # T + 1 frames (384, 384, 3) of each view
 
 
 @dataclass(slots=True)
@@ -84,20 +61,16 @@ def download(
 ) -> tuple[list[Path], list[str]]:
     """Fetch the files that are not yet in a folder (extra `human`).
 
-    `sums` has the files' SHA-256 sums, by path relative to `base_url` and `folder`.
-
-    Returns:
-        The files that are there now, and what is wrong with the others.
-
-    Raises:
-        DownloadError: the server cannot be reached, or has none of the first files.
+    `sums` has the files' SHA-256 sums, by path relative to `base_url` and `folder`. Returns the
+    files that are there now, and what is wrong with the others. Raises `DownloadError` if none of
+    the first three can be fetched.
     """
     require("human")
     import pooch
 
     pooch.get_logger().setLevel("WARNING")
     registry = {name: f"sha256:{digest}" for name, digest in sums.items()}
-    url = base_url.rstrip("/") + "/"
+    url = f"{base_url.rstrip('/')}/"
     source = pooch.create(folder, url, registry=registry, retry_if_failed=2)
     found, errors = list[Path](), list[str]()
     for name in sums:
@@ -134,9 +107,9 @@ def import_published(
     """
     writer, entries = DatasetWriter(out), Dataset.open(out).entries
     known = {(entry.name, entry.metadata.get("source_sha256")) for entry in entries}
-    wanted = [file for file in files if (file.name, sha256(file)) not in known]
+    wanted = [file for file in files if (file.name, sha256_sum(file)) not in known]
     report = ImportReport(already=[file.name for file in files if file not in wanted])
-    first = {entry.fingerprint: entry.name for entry in entries}
+    first = {entry.fingerprint: Path(entry.name) for entry in entries}
     progress(len(report.already))
     with closing(map_in_order(_outcome, wanted, min(workers, len(wanted) or 1))) as outcomes:
         for file, outcome in outcomes:
@@ -145,14 +118,12 @@ def import_published(
                 report.failed.append((str(file), outcome or ""))
                 continue
             entry = writer.append(outcome)
-            if earlier := first.get(entry.fingerprint):
-                report.duplicates.append(
-                    (str(file) if earlier == file.name else file.name, earlier)
-                )
+            if (earlier := first.setdefault(entry.fingerprint, file)) is not file:
+                name = str(file) if earlier.name == file.name else file.name
+                report.duplicates.append((name, earlier.name))
                 if skip_duplicates:
                     (writer.path / entry.file).unlink()
                     continue
-            first.setdefault(entry.fingerprint, file.name)
             report.imported.append(file.name)
     return report
 
@@ -160,20 +131,19 @@ def import_published(
 def _outcome(file: Path) -> Trajectory | str:
     """One file's trajectory, or what is wrong with it."""
     try:
-        return read_demonstration(file).trajectory()
+        return read_demonstration(file)[0]
     except MagicalError as error:
         return str(error)
 
 
-def read_demonstration(path: Path) -> PublishedDemonstration:
-    """Read one published file.
+def read_demonstration(path: Path) -> tuple[Trajectory, FullFrames]:
+    """Read one published file: its trajectory, of frames averaged 4 x 4, and its own frames.
 
-    Raises:
-        UnsafeFileError: the file cannot be read, has not the published sum, is damaged, too large,
-            or contains anything other than a demonstration as plain data.
+    Raises `UnsafeFileError` if the file cannot be read, has not the published sum, is damaged, too
+    large, or contains anything other than a demonstration as plain data.
     """
     try:
-        digest = sha256(path)
+        digest = sha256_sum(path)
         expected = {Path(name).name: known for name, known in published_sums().items()}
         if expected.get(path.name, digest) != digest:
             raise UnsafeFileError(f"expected SHA-256 {expected[path.name]}, found {digest}")
@@ -186,9 +156,7 @@ def read_demonstration(path: Path) -> PublishedDemonstration:
         raise UnsafeFileError(f"{path}: {error}") from error
     except Exception as error:  # gzip, pickle and NumPy raise many kinds
         what = printable(f"{type(error).__name__}: {error}")
-        raise UnsafeFileError(
-            f"{path}: expected a published demonstration, found {what}"
-        ) from error
+        raise UnsafeFileError(f"{path}: expected a demonstration, found {what}") from error
 
 
 def average(frame: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -196,13 +164,6 @@ def average(frame: NDArray[np.uint8]) -> NDArray[np.uint8]:
     rows = frame.reshape(FRAME_SIZE, BINNING, -1).sum(axis=1, dtype=np.uint16)
     total = rows.reshape(FRAME_SIZE, FRAME_SIZE, BINNING, 3).sum(axis=2)
     return np.asarray(np.rint(total / BINNING**2).astype(np.uint8))
-
-
-def sha256(path: Path) -> str:
-    """The SHA-256 sum of a file of limited size."""
-    if path.stat().st_size > MAX_FILE:
-        raise UnsafeFileError(f"{path}: expected at most {MAX_FILE} bytes, found more")
-    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 @cache
@@ -240,7 +201,7 @@ def _load(data: bytes) -> Any:
     return _Unpickler(io.BytesIO(data)).load()
 
 
-def _demonstration(data: Any, source: Mapping[str, str]) -> PublishedDemonstration:
+def _demonstration(data: Any, source: Mapping[str, str]) -> tuple[Trajectory, FullFrames]:
     record, env_name, score = data["trajectory"], data["env_name"], data["score"]
     if not re.fullmatch(r"\w+-Demo-v0", env_name):  # no module's name, which would be imported
         raise UnsafeFileError(f"expected a Demo environment, found {quoted(env_name)}")
@@ -248,9 +209,19 @@ def _demonstration(data: Any, source: Mapping[str, str]) -> PublishedDemonstrati
         raise UnsafeFileError(f"score: expected a number from 0 to 1, found {quoted(score)}")
     if len(record.obs) * math.prod(_SHAPE) > MAX_UNPACKED:  # frames may be shared
         raise UnsafeFileError(f"obs: expected fewer, found {len(record.obs)}")
-    actions = checked_actions("acts", record.acts, len(record.obs) - 1)
+    actions = DISCRETE.checked_batch(record.acts, len(record.obs) - 1, "acts")
     frames = {view: [observed[view] for observed in record.obs] for view in View}
     for frame in (frame for of_view in frames.values() for frame in of_view):
         if not isinstance(frame, np.ndarray) or frame.shape != _SHAPE or frame.dtype != np.uint8:
             raise UnsafeFileError(f"obs: expected uint8 frames {_SHAPE}, found {quoted(frame)}")
-    return PublishedDemonstration(parse_env_id(env_name), actions, float(score), source, frames)
+    env_id = parse_env_id(env_name)
+    trajectory = Trajectory(
+        env_id=env_id,
+        scene=env_id.task_spec.demo,  # every episode of a Demo environment has this scene
+        actions=actions,
+        frames={view: np.stack([*map(average, of_view)]) for view, of_view in frames.items()},
+        published_code_score=float(score),
+        demonstrator="human",
+        metadata=source,
+    )
+    return trajectory, frames

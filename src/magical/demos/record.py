@@ -16,7 +16,7 @@ from magical.demos.dataset import DatasetWriter
 from magical.demos.trajectory import Trajectory
 from magical.envs.env import MagicalEnv
 from magical.errors import TrajectoryError
-from magical.scene import Dynamics, Scene
+from magical.scene import Scene
 
 
 class RecordTrajectories(gym.Wrapper[Any, Any, Any, Any]):
@@ -25,38 +25,22 @@ class RecordTrajectories(gym.Wrapper[Any, Any, Any, Any]):
     It works with any policy or `gymnasium.utils.play`, and with other wrappers inside or around it.
     An episode that is reset before its end is not stored.
 
-    Args:
-        env: one of magical's environments, optionally wrapped.
-        dataset: the dataset's folder.
-        demonstrator: name of the person or policy that chooses the actions.
-        min_score: episodes with a lower score (by the appendix's rule) are not stored.
-        metadata: plain JSON data to store with every episode.
+    `demonstrator` is the name of the person or policy that chooses the actions.
 
     Raises:
         TrajectoryError: the environment is not one of magical's, or `set_state` was called.
         DatasetError: the dataset cannot be written.
     """
 
-    def __init__(
-        self,
-        env: gym.Env[Any, Any],
-        dataset: Path | str,
-        *,
-        demonstrator: str,
-        min_score: float = 0.0,
-        metadata: Mapping[str, Any] | None = None,
-    ) -> None:
+    def __init__(self, env: gym.Env[Any, Any], dataset: Path | str, *, demonstrator: str) -> None:
         super().__init__(env)
         if not isinstance(env.unwrapped, MagicalEnv):
             raise TrajectoryError(f"expected one of magical's environments, found {env.unwrapped}")
         self._inner = env.unwrapped
+        self._by: dict[str, Any] = {"demonstrator": demonstrator}
         self._writer = DatasetWriter(dataset)
-        self._by: dict[str, Any] = {"demonstrator": demonstrator, "metadata": metadata or {}}
-        self._min_score = min_score
         self._bodies: list[NDArray[np.float64]] = []
-        self._scene: Scene | None = None
-        self._seed: int | None = None
-        self.recorded = 0  # episodes stored so far
+        self._scene: Scene | None = None  # of the episode that is recorded
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -77,16 +61,13 @@ class RecordTrajectories(gym.Wrapper[Any, Any, Any, Any]):
             raise TrajectoryError("the episode was not recorded from its start; reset() first")
         self._bodies.append(state.bodies)
         if result[2] or result[3]:
-            trajectory = recorded_trajectory(self._inner, self._bodies, seed=self._seed, **self._by)
-            if (trajectory.score or 0.0) >= self._min_score:
-                self._writer.append(trajectory)
-                self.recorded += 1
+            self._writer.append(recorded_trajectory(self._inner, self._bodies, **self._by))
             self._scene = None
         return result
 
     def _start(self, seed: int | None) -> None:
         state = self._inner.state()
-        self._scene, self._bodies, self._seed = state.scene, [state.bodies], seed
+        self._scene, self._bodies, self._by["seed"] = state.scene, [state.bodies], seed
 
 
 def recorded_trajectory(
@@ -95,23 +76,22 @@ def recorded_trajectory(
     *,
     seed: int | None,
     demonstrator: str,
-    metadata: Mapping[str, Any],
+    metadata: Mapping[str, Any] | None = None,
 ) -> Trajectory:
     """The trajectory of an environment's current episode, scored at its last poses.
 
     `bodies` are (5 + blocks, 6) each, after `reset` and after every step since. `metadata` is
     stored together with the date and versions.
     """
-    saved = env.get_state()
     return Trajectory.from_bodies(
         env.env_id,
-        env.state().scene,
-        env.action_spec.convert(np.array(saved["actions"])),
+        env.simulation.scene,
+        env.action_spec.convert(np.array(env.actions)),
         np.stack(bodies),
-        dynamics=Dynamics.from_dict(saved["dynamics"]),
+        dynamics=env.simulation.dynamics,
         seed=seed,
         demonstrator=demonstrator,
-        metadata={**provenance(), **metadata},
+        metadata={**provenance(), **(metadata or {})},
     )
 
 

@@ -1,9 +1,10 @@
-"""The trajectory of one episode: initial scene, actions, and poses and velocities or frames."""
+"""The trajectory of one episode, its observations, and its replay."""
 
-from collections.abc import Mapping
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -14,21 +15,26 @@ from magical.envs.action_spec import (
     DISCRETE,
     Actions,
     ActionSpaceName,
-    ActionSpec,
     action_spec,
     spec_of,
 )
 from magical.envs.ids import EnvId, parse_env_id
 from magical.errors import InvalidActionError, TrajectoryError
+from magical.observe import Observation, make_spec
+from magical.observe.pixels import copy_pixels
+from magical.physics import Simulation
 from magical.scene import Dynamics, Poses, Scene, View
-from magical.scene.constants import FRAME_SIZE
+from magical.scene.constants import FRAME_SIZE, RAW_FRAME_SIZE
 from magical.scene.poses import FIRST_BLOCK
 from magical.tasks import Task
 
 VIEWS = tuple(str(view) for view in View)
 MAX_POSE = (10.0, 10.0, 1e6)  # units, units and radians: the workspace is [-1, 1] x [-1, 1]
 MAX_VELOCITY = 1e6  # units and radians per second
+TOLERANCE = 1e-6  # on scores, which other programs may have rounded to single precision
 ACTION_COLUMNS = "actions", "expert_actions", "policy_actions"  # all of the same kind
+
+Pixels = NDArray[np.uint8]
 
 
 class Actor(IntEnum):
@@ -66,7 +72,7 @@ class Trajectory:
     dynamics: Dynamics = field(default_factory=Dynamics)
     seed: int | None = None  # passed to `reset`, if known
     bodies: NDArray[np.float64] | None = None  # (T + 1, 5 + blocks, 6): poses and velocities
-    frames: Mapping[str, NDArray[np.uint8]] | None = None  # view: (T + 1, 96, 96, 3)
+    frames: Mapping[str, Pixels] | None = None  # view: (T + 1, 96, 96, 3)
     expert_actions: Actions | None = None  # as `actions`; None: the executed ones
     actors: NDArray[np.uint8] | None = None  # (T,), of `Actor`; None: always the demonstrator
     policy_actions: Actions | None = None  # as `actions`, of the watched policy
@@ -79,16 +85,26 @@ class Trajectory:
         self.task.validate(self.scene)
         steps, bodies = len(np.atleast_1d(self.actions)), FIRST_BLOCK + len(self.scene.blocks)
         spec = CONTINUOUS if np.ndim(self.actions) == 2 else DISCRETE
-        for name in ACTION_COLUMNS:
-            if (column := getattr(self, name)) is not None:
-                put(name, checked_actions(name, column, steps, spec))
+        if not steps:
+            raise TrajectoryError("actions: expected at least one, found none")
+        try:
+            for name in ACTION_COLUMNS:
+                if (column := getattr(self, name)) is not None:
+                    put(name, _frozen(spec.checked_batch(column, steps, name)))
+        except InvalidActionError as error:
+            raise TrajectoryError(str(error)) from error
         if self.actors is not None:
             put("actors", _checked("actors", np.asarray(self.actors, np.uint8), "uint8", (steps,)))
             if self.actors.max() > max(Actor):
                 raise TrajectoryError(f"actors: expected at most {max(Actor)}, found more")
         if self.bodies is not None:
             put("bodies", _checked("bodies", self.bodies, "float64", (steps + 1, bodies, 6)))
-            _check_range(self.bodies)
+            size = np.abs(self.bodies)
+            if not (size[..., :3] <= MAX_POSE).all() or (size[..., 3:] > MAX_VELOCITY).any():
+                raise TrajectoryError(
+                    f"bodies: expected finite x, y and angles of at most {MAX_POSE}, and "
+                    f"velocities of at most {MAX_VELOCITY:g} or NaN, found {size.max(axis=(0, 1))}"
+                )
         if self.frames is not None:
             shape = (steps + 1, FRAME_SIZE, FRAME_SIZE, 3)
             views = {str(view): frames for view, frames in self.frames.items()}
@@ -123,7 +139,6 @@ class Trajectory:
         )
 
     def __len__(self) -> int:
-        """The number of actions, T."""
         return len(self.actions)
 
     @property
@@ -162,12 +177,12 @@ class Trajectory:
         if self.action_space == name:
             return self
         columns = {each: getattr(self, each) for each in ACTION_COLUMNS}
-        given: dict[str, Any] = {each: c for each, c in columns.items() if c is not None}
+        convert = action_spec(name).convert
         try:
-            given |= {each: action_spec(name).convert(c) for each, c in given.items()}
-            return replace(self, **given)
+            found = {each: convert(c) for each, c in columns.items() if c is not None}
         except InvalidActionError as error:
             raise TrajectoryError(f"{self.env_id}: {error}") from error
+        return replace(self, **found)  # type: ignore[arg-type]
 
     @property
     def task(self) -> Task:
@@ -180,16 +195,6 @@ def without_velocities(poses: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.concatenate([poses, np.full_like(poses, np.nan)], axis=-1)
 
 
-def checked_actions(name: str, actions: Any, count: int, spec: ActionSpec = DISCRETE) -> Actions:
-    """`count` checked, read-only actions; raises `TrajectoryError`."""
-    if not count:
-        raise TrajectoryError(f"{name}: expected at least one, found none")
-    try:
-        return _frozen(spec.checked_batch(actions, count, name))
-    except InvalidActionError as error:
-        raise TrajectoryError(str(error)) from error
-
-
 def _checked(name: str, values: ArrayLike, dtype: str, shape: tuple[int, ...]) -> NDArray[Any]:
     array = np.asarray(values)
     if array.shape != shape or array.dtype != dtype:
@@ -200,16 +205,114 @@ def _checked(name: str, values: ArrayLike, dtype: str, shape: tuple[int, ...]) -
     return _frozen(array)
 
 
-def _check_range(bodies: NDArray[np.float64]) -> None:
-    size = np.abs(bodies)
-    if not (size[..., :3] <= MAX_POSE).all() or (size[..., 3:] > MAX_VELOCITY).any():
-        raise TrajectoryError(
-            f"bodies: expected finite x, y and angles of at most {MAX_POSE}, and velocities of "
-            f"at most {MAX_VELOCITY:g} or NaN, found {size.max(axis=(0, 1))}"
-        )
-
-
 def _frozen(array: NDArray[Any]) -> NDArray[Any]:
     copied = array.copy() if array.flags.writeable or not array.flags.c_contiguous else array
     copied.flags.writeable = False
     return copied
+
+
+class Frames:
+    """Single frames of one trajectory and view, rendered from poses or copied from the recording.
+
+    Raises `TrajectoryError` if only frames were recorded, and not with this view, size and samples.
+    """
+
+    def __init__(
+        self,
+        trajectory: Trajectory,
+        view: View | str,
+        size: int = FRAME_SIZE,
+        samples: int | None = None,
+    ) -> None:
+        self.size = size
+        self._rows: NDArray[Any]  # poses or recorded frames, one for each time step
+        self._write: Callable[[NDArray[Any], Pixels], None]  # writes the frame of a row
+        if trajectory.poses is not None:
+            from magical import render  # imports numba: only when something is rendered
+
+            renderer = render.Renderer(trajectory.scene, view, size, samples)
+            self._rows, self._write = trajectory.poses, renderer.render
+        else:
+            recorded = trajectory.frames or {}
+            averaged = RAW_FRAME_SIZE // FRAME_SIZE
+            if view not in recorded or size != FRAME_SIZE or samples not in (None, averaged):
+                raise TrajectoryError(
+                    f"{trajectory.env_id}: this recording has only frames of {FRAME_SIZE} x "
+                    f"{FRAME_SIZE} pixels of the views {', '.join(recorded)}, not {view} frames "
+                    f"of {size} x {size} with {samples or 'any'} samples"
+                )
+            self._rows, self._write = recorded[view], copy_pixels
+
+    def render(self, time: int, out: Pixels) -> None:
+        """Write the frame at time step `time`, 0 to T, into `out` (size, size, 3)."""
+        self._write(self._rows[time], out)
+
+    def take(self, times: ArrayLike) -> Pixels:
+        """The frames at several time steps: (len(times), size, size, 3) uint8."""
+        times = np.asarray(times, np.intp)
+        frames = np.empty((len(times), self.size, self.size, 3), np.uint8)
+        for time, frame in zip(times.tolist(), frames, strict=True):
+            self.render(time, frame)
+        return frames
+
+
+class TrajectorySource:
+    """A trajectory as an `EpisodeSource`; its renderers are cached."""
+
+    def __init__(self, trajectory: Trajectory) -> None:
+        self.trajectory, self.scene = trajectory, trajectory.scene
+        self.frames = cache(partial(Frames, trajectory))  # (view, size, samples) -> Frames
+
+    def __len__(self) -> int:
+        return len(self.trajectory)
+
+    def body_states(self) -> NDArray[np.float64]:
+        """Poses and velocities, (T + 1, 5 + blocks, 6); raises `TrajectoryError` if unknown."""
+        bodies = self.trajectory.bodies
+        if bodies is None or np.isnan(bodies).any():
+            raise TrajectoryError(
+                f"{self.trajectory.env_id}: expected poses and velocities, found a recording of "
+                f"{'frames' if bodies is None else 'poses'}; use an observation of pixels"
+            )
+        return bodies
+
+
+def observations(
+    trajectory: Trajectory, observation: Observation = "LoRes4E", times: ArrayLike | None = None
+) -> Any:
+    """The observations that the environment returned: an array (T + 1, *shape), or a dict of them.
+
+    Observation 0 is what `reset` returned, observation t what the t-th `step` returned. `times` are
+    time steps from 0 to T (default: all). Raises `TrajectoryError` if a recording of frames lacks
+    the observation, or velocities, which state vectors need, are unknown.
+    """
+    steps = np.arange(len(trajectory) + 1) if times is None else np.asarray(times, np.intp)
+    if len(steps) and not 0 <= steps.min() <= steps.max() <= len(trajectory):
+        found = f"{steps.min()} to {steps.max()}"
+        raise TrajectoryError(f"time steps: expected 0 to {len(trajectory)}, found {found}")
+    return make_spec(observation, trajectory.task).read(TrajectorySource(trajectory), steps)
+
+
+@dataclass(frozen=True, slots=True)
+class Replay:
+    """The outcome of replaying one trajectory."""
+
+    score: float  # of the final state, by the appendix's rule
+    published_code_score: float
+    agrees: bool  # with the recorded scores, by every rule with a recorded score
+    departure: float | None  # largest deviation of a body's final x or y from the recorded one
+
+
+def replay(trajectory: Trajectory) -> Replay:
+    """Simulate a trajectory's actions from its initial scene, and score the final state."""
+    simulation = Simulation(trajectory.scene, trajectory.dynamics)
+    for point in action_spec("continuous").convert(trajectory.actions):
+        simulation.step(point)
+    poses, task, departure = simulation.poses(), trajectory.task, None
+    if trajectory.bodies is not None:
+        departure = float(np.abs(poses.bodies - trajectory.bodies[-1, :, :3])[:, :2].max())
+    score = float(task.score(trajectory.scene, poses))
+    published = float(task.published_code_score(trajectory.scene, poses))
+    pairs = [(score, trajectory.score), (published, trajectory.published_code_score)]
+    agrees = all(known is None or math.isclose(a, known, abs_tol=TOLERANCE) for a, known in pairs)
+    return Replay(score, published, agrees, departure)

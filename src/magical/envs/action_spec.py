@@ -4,7 +4,6 @@ Environments check actions here and turn them into (drive, turn, grip); nothing 
 kind.
 """
 
-import operator
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -23,19 +22,12 @@ Point = tuple[float, float, float]  # drive, turn, grip, each from -1 to 1
 
 @dataclass(frozen=True, slots=True)
 class ActionSpec:
-    """Everything that depends on the kind of actions: `DISCRETE` or `CONTINUOUS`.
-
-    Attributes:
-        name: as in `gymnasium.make(..., action_space=name)`.
-        shape: of one action in an array.
-        dtype: of such arrays.
-        nothing: what an array holds where there is no action.
-    """
+    """Everything that depends on the kind of actions: `DISCRETE` or `CONTINUOUS`."""
 
     name: ActionSpaceName
-    shape: tuple[int, ...]
+    shape: tuple[int, ...]  # of one action in an array
     dtype: type[np.int64] | type[np.float64]
-    nothing: float
+    nothing: float  # what an array holds where there is no action
 
     @property
     def space(self) -> spaces.Space[Any]:
@@ -46,23 +38,14 @@ class ActionSpec:
 
     def point(self, action: Any) -> Point:
         """One action as drive, turn and grip; raises `InvalidActionError`."""
-        if self is DISCRETE and not isinstance(action, bool | np.bool_):
-            try:
-                number = operator.index(action)
-            except TypeError:
-                number = -1
-            if 0 <= number < NUM_ACTIONS:
-                return POINTS[number]
-        elif self is CONTINUOUS:
-            drive, turn, grip = self.checked_batch(_array(action)[None], 1, "action")[0].tolist()
-            return drive, turn, grip
-        raise InvalidActionError(
-            f"action: expected an integer from 0 to {NUM_ACTIONS - 1}, found {quoted(action)}"
-        )
+        if self is DISCRETE and type(action) in (int, np.int64) and 0 <= action < NUM_ACTIONS:
+            return POINTS[action]
+        drive, turn, grip = self.points([action], 1, "action")[0].tolist()
+        return drive, turn, grip
 
-    def points(self, actions: Any, count: int) -> NDArray[np.float64]:
-        """`count` actions as drive, turn and grip, (count, 3); raises `InvalidActionError`."""
-        checked = self.checked_batch(actions, count)
+    def points(self, actions: Any, count: int, name: str = "actions") -> NDArray[np.float64]:
+        """`count` actions as drive, turn and grip, (count, 3); raises as `checked_batch`."""
+        checked = self.checked_batch(actions, count, name)
         return to_continuous(checked) if self is DISCRETE else checked.astype(np.float64)
 
     def checked_batch(self, actions: Any, count: int, name: str = "actions") -> Actions:
@@ -70,20 +53,22 @@ class ActionSpec:
 
         Raises `InvalidActionError`, which begins with `name` and says which action is wrong.
         """
-        array = _array(actions)
-        discrete = self is DISCRETE
+        discrete, shape = self is DISCRETE, (count, *self.shape)
         low, high = (0, NUM_ACTIONS - 1) if discrete else (-1, 1)
         what = "integers" if discrete else f"numbers for {', '.join(PARTS)}"
-        expected = f"{name}: expected {what} from {low} to {high} of shape {(count, *self.shape)}"
-        kinds = "iu" if discrete else "fiu"
-        if array.shape != (count, *self.shape) or array.dtype.kind not in kinds:
+        expected = f"{name}: expected {what} from {low} to {high} of shape {shape}, found"
+        try:
+            array = np.asarray(actions)
+        except (TypeError, ValueError, RuntimeError):  # ragged, or a tensor on another device
+            array = np.empty(0, np.bool_)  # which is never valid
+        if array.shape != shape or array.dtype.kind not in ("iu" if discrete else "fiu"):
             hint = "; sample or take the argmax, then convert" if array.dtype.kind == "f" else ""
-            raise InvalidActionError(f"{expected}, found {quoted(actions)}{hint * discrete}")
+            raise InvalidActionError(f"{expected} {quoted(actions)}{hint * discrete}")
         good = (array >= low) & (array <= high)  # false for NaN
         if not good.all():
-            where = tuple(np.argwhere(~good)[0].tolist())
-            part = "" if discrete else f"{PARTS[where[1]]} "
-            raise InvalidActionError(f"{expected}, found {part}{array[where]} in row {where[0]}")
+            row, *part = np.argwhere(~good)[0].tolist()
+            found = " ".join([*(PARTS[i] for i in part), str(array[(row, *part)])])
+            raise InvalidActionError(f"{expected} {found} in row {row}")
         return array.astype(self.dtype, copy=False)
 
     def convert(self, actions: Actions) -> Actions:
@@ -99,24 +84,17 @@ class ActionSpec:
             raise InvalidActionError(f"actions: {error}") from error
 
 
-def _array(actions: Any) -> NDArray[Any]:
-    try:
-        return np.asarray(actions)
-    except (TypeError, ValueError, RuntimeError):  # ragged, or a tensor that is not a plain array
-        return np.empty(0, np.bool_)  # which is never valid
-
-
 DISCRETE = ActionSpec("discrete", (), np.int64, -1)
 CONTINUOUS = ActionSpec("continuous", (len(PARTS),), np.float64, np.nan)
-ACTION_SPECS = {spec.name: spec for spec in (DISCRETE, CONTINUOUS)}
 
 
 def action_spec(name: str) -> ActionSpec:
     """The action space with this name; raises `UnknownNameError`."""
-    if isinstance(name, str) and name in ACTION_SPECS:
-        return ACTION_SPECS[name]
+    for spec in (DISCRETE, CONTINUOUS):
+        if spec.name == name:
+            return spec
     raise UnknownNameError(
-        f"action space {quoted(name)} is unknown; expected {' or '.join(ACTION_SPECS)}"
+        f"action space {quoted(name)} is unknown; expected discrete or continuous"
     )
 
 

@@ -1,36 +1,37 @@
-"""The Gymnasium environment."""
+"""The Gymnasium environment, and the states that are saved of it."""
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar, NamedTuple, cast
 
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
+from msgspec import Meta
 from numpy.typing import NDArray
 
 from magical.envs.action_spec import ActionSpaceName, Point, action_spec
 from magical.envs.ids import EnvId
 from magical.envs.keys import KEYS_TO_ACTION
-from magical.envs.saved_state import SavedState
 from magical.errors import (
     InvalidConfigError,
-    InvalidSceneError,
     InvalidScoreError,
     InvalidStateError,
+    MagicalError,
     ResetNeededError,
     UnknownNameError,
 )
+from magical.files import convert
 from magical.messages import quoted
 from magical.observe import Observation, make_spec
 from magical.observe.arrays import copy_arrays
 from magical.physics import Simulation
 from magical.plugins import is_plugin, load_plugin, plugins
-from magical.scene.constants import CONTROL_RATE
-from magical.scene.poses import Poses, State
+from magical.scene.constants import CONTROL_RATE, MAX_COORDINATE
+from magical.scene.poses import FIRST_BLOCK, Poses, State
 from magical.scene.scene import Dynamics, Scene
-from magical.tasks import Horizon, Task, get_task, parse_horizon
+from magical.tasks import MAX_HORIZON, Horizon, Task, get_task, parse_horizon
 from magical.tasks.scoring import SUCCESS
 
 SCORE_KEYS = ("eval_score", "published_code_score")  # of `info`
@@ -45,8 +46,7 @@ Bodies = NDArray[np.float64]  # (5 + blocks, 6): x, y, angle and their velocitie
 Potential = Callable[[Scene, Bodies], float]
 
 
-@dataclass(frozen=True, slots=True)
-class Scores:
+class Scores(NamedTuple):
     """A final state's score by both rules, each in [0, 1]."""
 
     score: float = 0.0
@@ -54,8 +54,55 @@ class Scores:
 
     def to_info(self) -> dict[str, Any]:
         """The entries that every `info` has."""
-        values = dict(zip(SCORE_KEYS, (self.score, self.published_code), strict=True))
-        return {**values, "is_success": self.score > SUCCESS}
+        return {**dict(zip(SCORE_KEYS, self, strict=True)), "is_success": self.score > SUCCESS}
+
+
+_Part = Annotated[float, Meta(ge=-1.0, le=1.0)]  # of an action
+_Number = Annotated[float, Meta(ge=-MAX_COORDINATE, le=MAX_COORDINATE)]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SavedState:
+    """What `MagicalEnv.get_state` returns, from which an episode is continued.
+
+    The bodies alone would not be enough to continue to the last bit: the solver keeps impulses
+    between steps.
+    """
+
+    task: str
+    variant: str
+    horizon: Annotated[int, Meta(ge=1, le=MAX_HORIZON)]  # control steps in the episode
+    scene: dict[str, Any]
+    dynamics: dict[str, Any]
+    actions: tuple[tuple[_Part, _Part, _Part], ...]  # so far: drive, turn, grip
+    # After the actions: x, y, angle and their velocities, in units, radians and seconds.
+    bodies: tuple[tuple[_Number, _Number, _Number, _Number, _Number, _Number], ...]
+    # Whether the actions lead to these bodies. They do not in an episode that was itself restored
+    # from a state whose actions led elsewhere.
+    exact: bool
+    rng: dict[str, Any]  # the state of a PCG64 generator, as NumPy represents it
+
+    def start(self, task: Task) -> tuple[Scene, Dynamics, NDArray[np.float64]]:
+        """The scene, the dynamics and the bodies (5 + blocks, 6).
+
+        Raises `InvalidStateError` if the state is of another task, or a part is damaged.
+        """
+        if self.task != task.name or self.variant not in task.variants:
+            raise InvalidStateError(
+                f"saved state: expected task {task.name} and one of its variants, found "
+                f"{quoted(self.task)} and {quoted(self.variant)}"
+            )
+        try:
+            scene, dynamics = Scene.from_dict(self.scene), Dynamics.from_dict(self.dynamics)
+            task.validate(scene)
+            np.random.PCG64().state = cast(Any, self.rng)
+        except (MagicalError, TypeError, ValueError, KeyError, OverflowError) as error:
+            raise InvalidStateError(f"saved state: scene, dynamics or rng: {error}") from error
+        if (found := len(self.actions)) > self.horizon:
+            raise InvalidStateError(f"saved state: {found} actions, beyond its horizon")
+        if (found := len(self.bodies)) != (count := FIRST_BLOCK + len(scene.blocks)):
+            raise InvalidStateError(f"saved state: bodies: expected {count}, found {found}")
+        return scene, dynamics, np.array(self.bodies)
 
 
 class MagicalEnv(gym.Env[Any, Any]):
@@ -287,9 +334,11 @@ class MagicalEnv(gym.Env[Any, Any]):
         Raises:
             InvalidStateError: data of another task, or damaged; the next call must be `reset` or
                 `set_state`.
+            InvalidSceneError: the observation cannot show the scene.
         """
         self.is_running = False
-        saved, scene, dynamics, bodies = SavedState.parse(state, self.task)
+        saved: SavedState = convert(state, SavedState, "saved state", InvalidStateError)
+        scene, dynamics, bodies = saved.start(self.task)
         simulation = Simulation(scene, dynamics)
         seen = [simulation.read(), *map(simulation.step, saved.actions)]
         departure = float(np.abs(seen[-1] - bodies).max())
@@ -305,11 +354,7 @@ class MagicalEnv(gym.Env[Any, Any]):
             )
         self.horizon, self.variant = saved.horizon, saved.variant
         self._exact = saved.exact and not departure
-        try:
-            earlier = seen[-self.observation_spec.frames : -1]
-            self._begin(simulation, list(saved.actions), *earlier)
-        except InvalidSceneError as error:
-            raise InvalidStateError(f"saved state: scene: {error}") from error
+        self._begin(simulation, list(saved.actions), *seen[-self.observation_spec.frames : -1])
         self.np_random.bit_generator.state = saved.rng
         return copy_arrays(self.observer.out)
 

@@ -4,7 +4,6 @@ No environment is imported here.
 """
 
 import copy
-import re
 from dataclasses import replace
 from itertools import product
 from typing import Any, Self
@@ -29,8 +28,7 @@ NO_TIME_LIMIT = WrapperSpec("NoTimeLimit", "magical.envs.env:refuse_time_limit",
 class EnvId(str):
     """An environment id: a string with its parts as attributes.
 
-    It is made once, by `parse_env_id`, where a string enters the package, and then passed on
-    unchanged; being a string, it prints, compares and serialises like the id itself.
+    Being a string, it prints, compares and serialises like the id itself.
 
     Attributes:
         task: the task's name.
@@ -73,10 +71,6 @@ def split_env_id(env_id: str) -> EnvId:
     if isinstance(env_id, EnvId):
         return env_id
     task, *rest = str(env_id).removeprefix(f"{NAMESPACE}/").split("-")
-    if 2 <= len(rest) <= 3 and rest[-1] != VERSION and re.fullmatch(r"v\d+", rest[-1]):
-        raise UnknownNameError(
-            f"environment id {quoted(env_id)}: version {rest[-1]} is unknown; expected {VERSION}"
-        )
     if not 2 <= len(rest) <= 3 or rest[-1] != VERSION:
         raise UnknownNameError(
             f"environment id {quoted(env_id)}: expected "
@@ -136,10 +130,12 @@ def register_envs(task: str) -> None:
     an environment of a variant that the task lacks raises `UnknownNameError`.
 
     The environment truncates at its horizon and checks the order of calls itself, so Gymnasium's
-    `TimeLimit` and `OrderEnforcing` wrappers are not used.
+    `TimeLimit` and `OrderEnforcing` wrappers are not used. An id that is taken stays as it is.
     """
     for variant, preset in product(possible_variants(task), (None, *PRESETS)):
-        _add(_spec(EnvId(task, variant, preset)))
+        spec = _spec(EnvId(task, variant, preset))
+        # `gymnasium.register` compares each id with all others, which takes long for hundreds.
+        gym.registry.setdefault(spec.id, spec)
 
 
 def env_spec(env_id: str) -> EnvSpec:
@@ -168,7 +164,8 @@ def register_published() -> None:
     for name, preset in product(published, (None, *PRESETS)):
         for variant in TASKS[name].variants:
             spec = _spec(EnvId(name, variant, preset))
-            _add(replace(spec, id=spec.id.removeprefix(f"{NAMESPACE}/")))
+            spec = replace(spec, id=spec.id.removeprefix(f"{NAMESPACE}/"))
+            gym.registry.setdefault(spec.id, spec)
 
 
 def _spec(env_id: EnvId) -> EnvSpec:
@@ -183,11 +180,3 @@ def _spec(env_id: EnvId) -> EnvSpec:
         kwargs=kwargs,
         additional_wrappers=(NO_TIME_LIMIT,),
     )
-
-
-def _add(spec: EnvSpec) -> None:
-    """Add an environment unless its id is taken: entries name their task, so they stay valid.
-
-    `gymnasium.register` compares each id with all others, which takes long for hundreds.
-    """
-    gym.registry.setdefault(spec.id, spec)

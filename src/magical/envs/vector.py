@@ -13,28 +13,18 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from magical.envs.action_spec import ActionSpaceName, action_spec
-from magical.envs.env import (
-    RENDER_MODES,
-    SCORE_KEYS,
-    MagicalEnv,
-    Reward,
-    known,
-    time_limit_error,
-)
+from magical.envs.env import SCORE_KEYS, MagicalEnv, known, time_limit_error
 from magical.envs.ids import EnvId, parse_env_id
 from magical.errors import (
     InvalidSceneError,
     MismatchedSpacesError,
     ResetNeededError,
-    UnknownNameError,
 )
 from magical.messages import quoted
 from magical.observe import Observation
 from magical.observe.arrays import copy_arrays, gather, map_arrays, select
 from magical.processes import checked_workers
 from magical.scene.poses import FIRST_BLOCK, State
-from magical.tasks import Horizon
 from magical.tasks.scoring import SUCCESS
 
 Bools = NDArray[np.bool_]
@@ -57,9 +47,6 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
             None takes one for each core. More than about four gain little, because what is Python
             is done by one at a time: on more cores, start several processes.
         observation: see `observe.make_spec`; takes precedence over the ids' preset.
-        horizon: as for `MagicalEnv`.
-        reward: as for `MagicalEnv`.
-        action_space: as for `MagicalEnv`.
         autoreset_mode: what happens after an episode's last step, an `AutoresetMode` or its value.
             "NextStep": the next step ignores the action and starts another episode. "SameStep":
             that step already returns the next episode's first observation; the last observation
@@ -67,14 +54,13 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
             until `reset(seed=..., options={"reset_mask": ended})`.
         copy: whether the caller owns returned observations; otherwise they are the environment's
             own arrays, which the next step or reset overwrites.
-        render_mode: "rgb_array" or None.
+        options: `horizon`, `reward`, `render_mode` and `action_space`, as for `MagicalEnv`.
 
     Raises:
-        UnknownNameError: an unknown id, observation, reward, action space, autoreset
-            mode or render mode.
+        UnknownNameError: an unknown id or autoreset mode.
         ValueError: no ids, or an invalid number of workers.
-        InvalidConfigError, ObservationError: an invalid horizon or observation.
         MismatchedSpacesError: sub-environments whose observation spaces differ.
+        MagicalError: what `MagicalEnv` refuses.
     """
 
     def __init__(
@@ -83,12 +69,9 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         *,
         workers: int | None = None,
         observation: Observation = None,
-        horizon: Horizon = None,
-        reward: Reward = "none",
-        action_space: ActionSpaceName = "discrete",
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         copy: bool = True,
-        render_mode: str | None = None,
+        **options: Any,
     ) -> None:
         if isinstance(env_ids, str) or not (env_ids := tuple(env_ids)):
             raise ValueError(
@@ -98,24 +81,17 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         self.env_ids = tuple(env_id.without_preset for env_id in parsed)
         self.num_envs = count = len(parsed)
         self.workers = min(max(1, checked_workers(workers)), count)
-        self.autoreset_mode = _autoreset_mode(autoreset_mode)
+        modes = [mode.value for mode in AutoresetMode]
+        mode = getattr(autoreset_mode, "value", autoreset_mode)
+        self.autoreset_mode = AutoresetMode(known("autoreset mode", mode, modes))
         self.metadata = {**MagicalEnv.metadata, "autoreset_mode": self.autoreset_mode}
-        self.render_mode = known("render mode", render_mode, RENDER_MODES)
         chosen = _common_preset(parsed) if observation is None else observation
         self.envs = [
-            MagicalEnv(
-                env_id.task,
-                env_id.variant,
-                observation=chosen,
-                horizon=horizon,
-                reward=reward,
-                render_mode=render_mode,
-                action_space=action_space,
-            )
+            MagicalEnv(env_id.task, env_id.variant, observation=chosen, **options)
             for env_id in parsed
         ]
         _check_spaces(self.envs)
-        self.action_spec = action_spec(action_space)
+        self.render_mode, self.action_spec = self.envs[0].render_mode, self.envs[0].action_spec
         self.single_action_space = self.action_spec.space
         self.action_space = batch_space(self.single_action_space, count)
         self.single_observation_space = self.envs[0].observation_space
@@ -161,15 +137,12 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         mask = self._checked_mask("reset_mask", chosen.pop("reset_mask", None))
         seeds = _checked_seeds(seed, self.num_envs)
         super().reset(seed=seed if isinstance(seed, int) else None)
-        rows = np.flatnonzero(mask).tolist()
-        words = {
-            row: self._start(
-                row, seeds[row], {key: _of_row(value, row) for key, value in chosen.items()}
-            )
-            for row in rows
-        }
+        words = {}
+        for row in np.flatnonzero(mask).tolist():
+            own = {key: _of_row(value, row) for key, value in chosen.items()}
+            words[row] = self._start(row, seeds[row], own)
         infos = _score_infos(np.zeros((2, self.num_envs)), mask)
-        return self._hand_out(None), infos | self._instructions(words)
+        return self._hand_out(None), infos | self._objects("instruction", words)
 
     def step(
         self, actions: Any, active: Bools | None = None
@@ -186,8 +159,10 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
             ResetNeededError: a sub-environment has no running episode; nothing has changed.
         """
         acting = self._checked_mask("active", active)
-        disabled = self.autoreset_mode is AutoresetMode.DISABLED
-        self._require_episodes("step", acting, self._ended if disabled else None)
+        missing = self._counts == 0
+        if self.autoreset_mode is AutoresetMode.DISABLED:
+            missing |= self._ended
+        self._require_episodes("step", missing & acting)
         points = self.action_spec.points(actions, self.num_envs)
         try:
             return self._step(points, acting)
@@ -211,18 +186,18 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
                 error.add_note(self._name(row))
                 raise
             if not env.is_running:
-                truncations[row], scores[:, row] = True, (found.score, found.published_code)
-        same_step = self.autoreset_mode is AutoresetMode.SAME_STEP
-        infos = self._infos(scores, acting, truncations, same_step)
-        restarting = truncations if same_step else acting & self._ended
-        if not same_step:
+                truncations[row], scores[:, row] = True, found
+        if self.autoreset_mode is AutoresetMode.SAME_STEP:
+            infos, restarting = self._infos_of_ended(scores, acting, truncations), truncations
+        else:
+            infos, restarting = _score_infos(scores, acting), acting & self._ended
             self._ended |= truncations
         words = {row: self._start(row) for row in np.flatnonzero(restarting).tolist()}
         if copy is not None:
             for row in np.flatnonzero(restarting | ~acting).tolist():
                 copy.fill(row)
         terminations = np.zeros(self.num_envs, np.bool_)
-        infos |= self._instructions(words)
+        infos |= self._objects("instruction", words)
         return self._hand_out(copy), rewards, terminations, truncations, infos
 
     def _advance(self, points: NDArray[np.float64], rows: Rows, copy: "_Copy | None") -> None:
@@ -289,7 +264,7 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
 
     def states(self) -> list[State]:
         """The true state of every sub-environment, for experts and privileged policies."""
-        self._require_episodes("states")
+        self._require_episodes("states", self._counts == 0)
         return [env.state() for env in self.envs]
 
     @property
@@ -299,7 +274,7 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         The rows are those of `Poses`; the second array, (N,), holds how many are in use. Both are
         read-only views, which the next step or reset overwrites.
         """
-        self._require_episodes("bodies")
+        self._require_episodes("bodies", self._counts == 0)
         bodies, counts = self._bodies.view(), self._counts.view()
         bodies.flags.writeable = counts.flags.writeable = False
         return bodies, counts
@@ -325,29 +300,25 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         if getattr(self, "_threads", None) is not None:
             self._executor().shutdown()
 
-    def _infos(self, scores: NDArray[Any], acting: Bools, ended: Bools, same_step: bool) -> Infos:
-        """The infos of a step, as Gymnasium's own vector environments build them."""
-        if not same_step or not ended.any():
+    def _infos_of_ended(self, scores: NDArray[Any], acting: Bools, ended: Bools) -> Infos:
+        """The infos of a step that also starts the next episodes, as Gymnasium builds them."""
+        if not ended.any():
             return _score_infos(scores, acting)
-        observations = np.full(self.num_envs, None, dtype=object)
-        for row in np.flatnonzero(ended).tolist():
-            observations[row] = copy_arrays(select(self._observations, row))
+        rows = np.flatnonzero(ended).tolist()
+        last = {row: copy_arrays(select(self._observations, row)) for row in rows}
         return {
             **_score_infos(np.zeros_like(scores), acting),
-            "final_obs": observations,
-            "_final_obs": ended.copy(),
+            **self._objects("final_obs", last),
             "final_info": _score_infos(scores, ended),
             "_final_info": ended.copy(),
         }
 
-    def _instructions(self, words: Mapping[int, str]) -> Infos:
-        """The instructions of the sub-environments that have started an episode."""
-        if not words:
-            return {}
-        values, mask = np.full(self.num_envs, None, dtype=object), np.zeros(self.num_envs, np.bool_)
-        for row, text in words.items():
-            values[row], mask[row] = text, True
-        return {"instruction": values, "_instruction": mask}
+    def _objects(self, name: str, values: Mapping[int, Any]) -> Infos:
+        """An info that some rows have, with its mask."""
+        array, mask = np.full(self.num_envs, None, dtype=object), np.zeros(self.num_envs, np.bool_)
+        for row, value in values.items():
+            array[row], mask[row] = value, True
+        return {name: array, f"_{name}": mask} if values else {}
 
     def _free_copy(self) -> "_Copy | None":
         """Arrays to hand the observations out in, which the caller does not hold any more."""
@@ -378,13 +349,9 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
             )
         return array
 
-    def _require_episodes(
-        self, what: str, needed: Bools | None = None, ended: Bools | None = None
-    ) -> None:
-        """Raise `ResetNeededError`, naming sub-environments that need an episode and have none."""
-        missing = self._counts == 0 if ended is None else (self._counts == 0) | ended
-        rows = np.flatnonzero(missing if needed is None else missing & needed).tolist()
-        if rows:
+    def _require_episodes(self, what: str, missing: Bools) -> None:
+        """Raise `ResetNeededError`, naming the sub-environments whose episode is missing."""
+        if rows := np.flatnonzero(missing).tolist():
             names = ", ".join(f"{row} ({self.env_ids[row]})" for row in rows[:5])
             raise ResetNeededError(
                 f"{what}: expected a running episode in every environment, found none in "
@@ -406,29 +373,20 @@ class _Copy:
 
     def __init__(self, observations: Any, count: int) -> None:
         self._arrays = copy_arrays(observations)
-        self._targets = [_leaves(select(self._arrays, row)) for row in range(count)]
-        self._sources = [_leaves(select(observations, row)) for row in range(count)]
-        self._free = self._references()
+        self._rows = [(select(self._arrays, i), select(observations, i)) for i in range(count)]
+        self._free = map_arrays(sys.getrefcount, self._arrays)
 
     def fill(self, row: int) -> None:
         """Copy the observation of a row."""
-        for target, source in zip(self._targets[row], self._sources[row], strict=True):
-            np.copyto(target, source)
-
-    def _references(self) -> list[int]:
-        return [sys.getrefcount(array) for array in _leaves(self._arrays)]
+        map_arrays(np.copyto, *self._rows[row])
 
     def is_free(self) -> bool:
         """Whether no caller holds the arrays: every view of them, at any remove, refers to them."""
-        return self._references() == self._free
+        return bool(map_arrays(sys.getrefcount, self._arrays) == self._free)
 
     def hand_out(self) -> Any:
         """Views of the arrays."""
         return map_arrays(lambda array: array[:], self._arrays)
-
-
-def _leaves(observations: Any) -> list[NDArray[Any]]:
-    return list(observations.values()) if isinstance(observations, dict) else [observations]
 
 
 def _common_preset(env_ids: Sequence[EnvId]) -> str | None:
@@ -467,41 +425,22 @@ def _score_infos(scores: NDArray[np.float64], mask: Bools) -> Infos:
     return values | {f"_{key}": mask.copy() for key in values}
 
 
-def _autoreset_mode(mode: str | AutoresetMode) -> AutoresetMode:
-    """An autoreset mode from a value such as "SameStep"; raises `UnknownNameError`."""
-    try:
-        return AutoresetMode(mode)
-    except ValueError as error:
-        raise UnknownNameError(
-            f"autoreset mode {quoted(mode)} is unknown; expected one of: "
-            f"{', '.join(each.value for each in AutoresetMode)}"
-        ) from error
-
-
-def _checked_seeds(seed: int | Sequence[int | None] | None, num_envs: int) -> list[int | None]:
+def _checked_seeds(seed: Any, num_envs: int) -> list[int | None]:
     """One seed for each sub-environment: `seed + i`, or a list's entries; raises `ValueError`."""
     if seed is None:
         return [None] * num_envs
-    entries: Any = seed
-    seeds: list[int | None] = []
     with suppress(TypeError, ValueError):  # neither an integer nor a list of them
-        if np.ndim(entries) == 0:
-            seeds = [operator.index(entries) + i for i in range(num_envs)]
-        else:
-            seeds = [None if s is None else operator.index(s) for s in entries]
-    if len(seeds) != num_envs or any(s is not None and s < 0 for s in seeds):
-        raise ValueError(
-            f"seed: expected a non-negative integer, {num_envs} of them, or None, "
-            f"found {quoted(seed)}"
-        )
-    return seeds
+        listed = [seed + i for i in range(num_envs)] if np.ndim(seed) == 0 else list(seed)
+        seeds = [None if each is None else operator.index(each) for each in listed]
+        if len(seeds) == num_envs and all(each is None or each >= 0 for each in seeds):
+            return seeds
+    raise ValueError(
+        f"seed: expected a non-negative integer, {num_envs} of them, or None, found {quoted(seed)}"
+    )
 
 
 def make_vector_env(task: str, variant: str, num_envs: int = 1, **options: Any) -> MagicalVectorEnv:
-    """The entry point of `gymnasium.make_vec("magical/<id>", num_envs=N, ...)`.
-
-    `options` are those of `MagicalVectorEnv`: observation, workers, horizon, reward, copy, ...
-    """
+    """The entry point of `gymnasium.make_vec`; `options` are those of `MagicalVectorEnv`."""
     if "max_episode_steps" in options:
         raise time_limit_error(options["max_episode_steps"])
     return MagicalVectorEnv([EnvId(task, variant)] * num_envs, **options)

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 
-from magical.demos.reader import TrajectorySource
-from magical.demos.trajectory import Trajectory
+from magical.demos.trajectory import Trajectory, TrajectorySource
 from magical.errors import DemonstrationsError
 from magical.observe import PRESETS
 from magical_baselines.data import Rows, TaskTrajectories
