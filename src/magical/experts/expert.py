@@ -61,7 +61,7 @@ class Expert:
             The action's id, and the memory for the next call.
         """
         memory = memory or Memory()
-        if self.task.validate_fn(state.scene):
+        if self.task.problem(state.scene):
             return NOOP, memory
         return self._decide(StateView.from_state(state), memory)
 

@@ -1,6 +1,6 @@
 """ClusterColour: push the blocks into clusters of the same colour (appendix A.2.7)."""
 
-from magical.scene import COLOURS, Block, Colour, Pose, Scene, Shape
+from magical.scene import Block, Colour, Pose, Scene, Shape
 from magical.tasks import clustering
 
 DEMO = Scene(
@@ -17,4 +17,4 @@ DEMO = Scene(
     ),
 )
 
-TASK = clustering.make_task("colour", DEMO, COLOURS)
+TASK = clustering.make_task("colour", DEMO)

@@ -1,6 +1,6 @@
 """ClusterShape: push the blocks into clusters of the same shape (appendix A.2.7)."""
 
-from magical.scene import SHAPES, Block, Colour, Pose, Scene, Shape
+from magical.scene import Block, Colour, Pose, Scene, Shape
 from magical.tasks import clustering
 
 DEMO = Scene(
@@ -17,4 +17,4 @@ DEMO = Scene(
     ),
 )
 
-TASK = clustering.make_task("shape", DEMO, SHAPES)
+TASK = clustering.make_task("shape", DEMO)

@@ -1,6 +1,6 @@
 """ClusterColour and ClusterShape, except for their Demo scenes (appendix A.2.7)."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Literal
@@ -13,13 +13,12 @@ from magical.tasks.axes import EVERYTHING, Axis
 from magical.tasks.scoring import Distances, centroid_distances, positions
 from magical.tasks.task import Task
 
-HORIZON = 320  # control steps
-PUBLISHED_HORIZON = 240  # control steps
 BLOCKS = (7, 10)  # minimum and maximum in CountPlus
 NO_SCORE = 0.5  # fraction of blocks clustered up to which the score is 0
 PUBLISHED_NO_SCORE = 0.75  # the same in the published code
 
 Attribute = Literal["colour", "shape"]
+VALUES: Mapping[Attribute, Sequence[str]] = {"colour": COLOURS, "shape": SHAPES}
 
 
 def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
@@ -35,35 +34,33 @@ def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
     return replace(scene, blocks=blocks)
 
 
-def distances(scene: Scene, poses: Poses, attribute: Attribute) -> tuple[Distances, Distances]:
-    """Squared distances of the blocks to own and nearest other centroids; see the module."""
-    values = [getattr(block, attribute) for block in scene.blocks]
-    return centroid_distances(values, np.array(positions(scene, poses)))
-
-
 def score(scene: Scene, poses: Poses, attribute: Attribute) -> float:
     """The appendix's score, 0 to 1."""
-    own, other = distances(scene, poses, attribute)
+    own, other = _distances(scene, poses, attribute)
     fraction = float(np.mean(own < other / 3))
     return max(0.0, fraction - NO_SCORE) / (1.0 - NO_SCORE)
 
 
 def published_score(scene: Scene, poses: Poses, attribute: Attribute) -> float:
     """The published code's score, 0 to 1 (docs/specification.md, section 9)."""
-    own, other = distances(scene, poses, attribute)
+    own, other = _distances(scene, poses, attribute)
     fraction = float(np.mean(np.sqrt(own) < np.sqrt(other) - 2 * own))
     return max(0.0, fraction - PUBLISHED_NO_SCORE) / (1.0 - PUBLISHED_NO_SCORE)
 
 
-def validate(scene: Scene, attribute: Attribute, expected: Sequence[str]) -> str:
-    """The reason why the scene does not fit the task, or an empty string."""
+def _distances(scene: Scene, poses: Poses, attribute: Attribute) -> tuple[Distances, Distances]:
+    values = [getattr(block, attribute) for block in scene.blocks]
+    return centroid_distances(values, np.array(positions(scene, poses)))
+
+
+def _validate(scene: Scene, attribute: Attribute) -> str:
     values = {getattr(block, attribute) for block in scene.blocks}
-    missing = [value for value in expected if value not in values]
+    missing = [value for value in VALUES[attribute] if value not in values]
     return f"expected at least one {' and one '.join(missing)} block, found none" if missing else ""
 
 
-def make_task(attribute: Attribute, demo: Scene, values: Sequence[str]) -> Task:
-    """The task of clustering blocks by an attribute with these values."""
+def make_task(attribute: Attribute, demo: Scene) -> Task:
+    """The task of clustering blocks by an attribute."""
     return Task(
         name=f"Cluster{attribute.capitalize()}",
         summary=f"Push the blocks into clusters of the same {attribute}.",
@@ -73,8 +70,8 @@ rises linearly from 0 to 1 as the fraction of such blocks rises from 0.5 to 1. T
 requires sqrt(own) < sqrt(nearest other) - 2 own, where own and nearest other are the squared
 distances, and its score rises from 0.75.""",
         section="A.2.7",
-        horizon=HORIZON,
-        published_horizon=PUBLISHED_HORIZON,
+        horizon=320,
+        published_horizon=240,
         demo=demo,
         axes=EVERYTHING,
         randomise_fn=randomise,
@@ -82,5 +79,5 @@ distances, and its score rises from 0.75.""",
         published_score_fn=partial(published_score, attribute=attribute),
         max_blocks=BLOCKS[1],
         max_regions=0,
-        validate_fn=partial(validate, attribute=attribute, expected=values),
+        validate_fn=partial(_validate, attribute=attribute),
     )

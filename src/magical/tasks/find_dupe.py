@@ -10,7 +10,7 @@ import numpy as np
 from magical.scene import Block, Colour, Pose, Poses, Region, Scene, Shape
 from magical.tasks.attributes import cycle_blocks, sample_attributes, sample_count
 from magical.tasks.axes import EVERYTHING, Axis
-from magical.tasks.placement import Placement
+from magical.tasks.placement import Placement, problem_of_enclosed
 from magical.tasks.scoring import blocks_inside
 from magical.tasks.task import Task
 
@@ -65,8 +65,7 @@ def alike(scene: Scene) -> set[int]:
     return {i for i, block in enumerate(scene.blocks) if (block.shape, block.colour) == wanted}
 
 
-def instruction(scene: Scene) -> str:
-    """What to do, in English."""
+def _instruction(scene: Scene) -> str:
     kind, region = f"{scene.blocks[-1].colour} {scene.blocks[-1].shape}", scene.regions[0].colour
     duplicate = f"the {kind} that is outside" if len(alike(scene)) == 2 else f"one {kind}"
     return (
@@ -75,20 +74,10 @@ def instruction(scene: Scene) -> str:
     )
 
 
-def validate(scene: Scene) -> str:
-    """The reason why the scene does not fit the task, or an empty string."""
-    if len(scene.regions) != 1 or not scene.blocks:
-        return "expected 1 goal region and the query as the last block, found fewer; add them"
-    (region,), blocks = scene.regions, scene.blocks
-    inside = [i for i, block in enumerate(blocks) if region.contains(*block.pose[:2])]
-    if inside != [len(blocks) - 1]:
-        return (
-            f"expected block {len(blocks) - 1} (the query) alone inside the region, found blocks "
-            f"{inside}; move them"
-        )
-    if len(alike(scene)) > 1:
-        return ""
-    return "expected a duplicate of the last block (the query), found none; add one"
+def _validate(scene: Scene) -> str:
+    if len(alike(scene)) < 2:
+        return "expected a duplicate of the last block (the query), found none; add one"
+    return problem_of_enclosed(scene)
 
 
 TASK = Task(
@@ -107,9 +96,11 @@ In the published code, any two blocks like the query suffice, and q need not sta
     randomise_fn=randomise,
     placement=Placement(encloses=True, margin=MARGIN),
     score_fn=score,
-    instruction_fn=instruction,
+    instruction_fn=_instruction,
     published_score_fn=published_score,
+    min_blocks=2,
     max_blocks=OTHERS[1] + 2,
+    min_regions=1,
     max_regions=1,
-    validate_fn=validate,
+    validate_fn=_validate,
 )

@@ -17,7 +17,7 @@ from magical.tasks.attributes import (
     sample_item,
 )
 from magical.tasks.axes import EVERYTHING, Axis
-from magical.tasks.placement import Placement
+from magical.tasks.placement import Placement, problem_of_enclosed
 from magical.tasks.scoring import blocks_inside
 from magical.tasks.task import Task
 
@@ -68,8 +68,7 @@ def score(scene: Scene, poses: Poses) -> float:
     return float(left and inside == [{i} for i in range(len(scene.blocks)) if i != odd])
 
 
-def instruction(scene: Scene) -> str:
-    """What to do, in English."""
+def _instruction(scene: Scene) -> str:
     (odd,), blocks = mismatched(scene), list(scene.blocks)
     kinds = [(block.colour, block.shape) for block in blocks]
     if kinds.count(kinds[odd]) > 1:  # colours and shapes do not tell them apart
@@ -82,20 +81,12 @@ def instruction(scene: Scene) -> str:
     return f"Push {name} out of any region. Keep {others} {where}."
 
 
-def validate(scene: Scene) -> str:
-    """The reason why the scene does not fit the task, or an empty string."""
+def _validate(scene: Scene) -> str:
     if len(scene.blocks) != len(scene.regions):
-        return (
-            "expected a region for every block (block i in region i), found "
-            f"{len(scene.blocks)} blocks and {len(scene.regions)} regions"
-        )
-    for i, region in enumerate(scene.regions):
-        inside = [k for k, block in enumerate(scene.blocks) if region.contains(*block.pose[:2])]
-        if inside != [i]:
-            return f"expected block {i} alone inside region {i}, found blocks {inside}; move them"
+        return f"expected a region for every block, found {len(scene.regions)} regions"
     if len(odd := mismatched(scene)) != 1:
         return f"expected exactly 1 block of another colour than its region, found {len(odd)}"
-    return ""
+    return problem_of_enclosed(scene)
 
 
 TASK = Task(
@@ -110,8 +101,8 @@ contains exactly the block that it started with, otherwise 0.""",
     randomise_fn=randomise,
     placement=Placement(region_size=REGION_SIZE, encloses=True, margin=MARGIN),
     score_fn=score,
-    instruction_fn=instruction,
+    instruction_fn=_instruction,
     max_blocks=PAIRS[1],
     max_regions=PAIRS[1],
-    validate_fn=validate,
+    validate_fn=_validate,
 )

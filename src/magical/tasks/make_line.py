@@ -44,11 +44,6 @@ def published_score(scene: Scene, poses: Poses) -> float:
     return score(scene, poses) if longest_line(positions(scene, poses)) >= shortest else 0.0
 
 
-def validate(scene: Scene) -> str:
-    """The reason why the scene does not fit the task, or an empty string."""
-    return "" if len(scene.blocks) > 1 else "expected at least 2 blocks, found fewer; add blocks"
-
-
 TASK = Task(
     name="MakeLine",
     summary="Arrange all blocks in a line.",
@@ -64,7 +59,7 @@ two of three blocks in a line score 0.""",
     randomise_fn=randomise,
     score_fn=score,
     published_score_fn=published_score,
+    min_blocks=2,
     max_blocks=BLOCKS[1],
     max_regions=0,
-    validate_fn=validate,
 )

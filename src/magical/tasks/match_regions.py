@@ -72,21 +72,16 @@ def score(scene: Scene, poses: Poses) -> float:
     return len(wanted & inside) / len(wanted) * (1.0 - len(inside - wanted) / len(inside))
 
 
-def instruction(scene: Scene) -> str:
-    """What to do, in English."""
+def _instruction(scene: Scene) -> str:
     region = f"the {scene.regions[0].colour} region"
     names = name_blocks([scene.blocks[i] for i in sorted(targets(scene))])
     return f"Push {names} into {region}. Keep all other blocks out of {region}."
 
 
-def validate(scene: Scene) -> str:
-    """The reason why the scene does not fit the task, or an empty string."""
-    if len(scene.regions) != 1:
-        return "expected 1 goal region, found none"
+def _validate(scene: Scene) -> str:
     if targets(scene):
         return ""
-    colour = scene.regions[0].colour
-    return f"expected a block of the region's colour {colour}, found none; add one"
+    return f"expected a block of the region's colour {scene.regions[0].colour}, found none; add one"
 
 
 TASK = Task(
@@ -102,8 +97,9 @@ and R the blocks that end inside the region, the score is
     axes=EVERYTHING,
     randomise_fn=randomise,
     score_fn=score,
-    instruction_fn=instruction,
+    instruction_fn=_instruction,
     max_blocks=TARGETS[1] + DISTRACTORS[1] * (len(COLOURS) - 1),
+    min_regions=1,
     max_regions=1,
-    validate_fn=validate,
+    validate_fn=_validate,
 )

@@ -37,11 +37,6 @@ def score(scene: Scene, poses: Poses) -> float:
     return min(max(left / (NO_SCORE - FULL_SCORE), 0.0), 1.0)
 
 
-def validate(scene: Scene) -> str:
-    """The reason why the scene does not fit the task, or an empty string."""
-    return "" if len(scene.blocks) == 1 else f"expected 1 block, found {len(scene.blocks)}"
-
-
 TASK = Task(
     name="MoveToCorner",
     summary="Push the block from the bottom right corner to the top left corner.",
@@ -54,7 +49,7 @@ of the workspace, 0 beyond sqrt(2) units, and linear in the distance between."""
     randomise_fn=randomise,
     score_fn=score,
     instruction_fn=lambda scene: f"Push {name_blocks(scene.blocks)} to the top left corner.",
+    min_blocks=1,
     max_blocks=1,
     max_regions=0,
-    validate_fn=validate,
 )

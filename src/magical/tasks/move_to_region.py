@@ -27,11 +27,6 @@ def score(scene: Scene, poses: Poses) -> float:
     return float(scene.regions[0].contains(*poses.robot[:2]))
 
 
-def validate(scene: Scene) -> str:
-    """The reason why the scene does not fit the task, or an empty string."""
-    return "" if len(scene.regions) == 1 else "expected 1 goal region, found none"
-
-
 TASK = Task(
     name="MoveToRegion",
     summary="Drive the robot into the goal region.",
@@ -44,6 +39,6 @@ TASK = Task(
     score_fn=score,
     instruction_fn=lambda scene: f"Drive into the {scene.regions[0].colour} region.",
     max_blocks=0,
+    min_regions=1,
     max_regions=1,
-    validate_fn=validate,
 )

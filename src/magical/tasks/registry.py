@@ -55,7 +55,7 @@ class _Tasks(Mapping[str, Task]):
         return iter(dict.fromkeys((*_tasks, *plugins(GROUP))))
 
     def __len__(self) -> int:
-        return len({*_tasks, *plugins(GROUP)})
+        return len(list(iter(self)))
 
     def __contains__(self, name: object) -> bool:
         return name in _tasks or is_offered(GROUP, str(name))
@@ -63,7 +63,7 @@ class _Tasks(Mapping[str, Task]):
     def __getitem__(self, name: str) -> Task:
         if name in _tasks or name not in self:
             return _tasks[name]
-        task = _loaded(name)
+        task = _load(name)
         if task.name != name:
             raise PluginError(f"{GROUP}: expected the task {name!r}, found {task.name!r}")
         if name in plugins(GROUP):
@@ -102,11 +102,11 @@ def register_task(task: Task) -> Task:
 
 
 def unregister_task(name: str) -> Task:
-    """Remove a task from `TASKS` and return it; raises `UnknownNameError`, for a family's too."""
+    """Remove a registered task from `TASKS` and return it; raises `UnknownNameError`."""
     task = get_task(name)
-    if _tasks.pop(task.name, None) is None:
-        raise UnknownNameError(f"{task.name} is of a family of tasks, and cannot be removed")
-    _imported_from.pop(task.name, None)
+    if _tasks.pop(name, None) is None:
+        raise UnknownNameError(f"{name} is of a family of tasks, and cannot be removed")
+    _imported_from.pop(name, None)
     return task
 
 
@@ -138,7 +138,7 @@ def load_task(name: str) -> Task:
 
     Only for names that users give: those in files may come from anywhere.
     """
-    return register_task(_loaded(name)) if ":" in name else get_task(name)
+    return register_task(_load(name)) if ":" in name else get_task(name)
 
 
 def possible_variants(name: str) -> tuple[str, ...]:
@@ -148,20 +148,19 @@ def possible_variants(name: str) -> tuple[str, ...]:
     return _tasks[name].variants if name in _tasks else tuple(VARIANTS)
 
 
-def load_tasks(modules: Iterable[str]) -> None:
-    """Import a user's modules and register the tasks that they hold, but for known names."""
-    for name in modules:
-        for task in vars(import_user_module(name)).values():
-            if isinstance(task, Task) and task.name not in TASKS:
-                register_task(task)
-
-
 def import_tasks(name: str) -> None:
-    """As `load_tasks`, for a module whose import may register tasks; raises `PluginError`."""
-    known = set(_tasks)
-    load_tasks([name])
-    module = import_user_module(name).__name__
-    _imported_from.update(dict.fromkeys(set(_tasks) - known, module))
+    """Import a user's module, and register the tasks that it holds; raises `PluginError`."""
+    known, module = set(_tasks), import_user_module(name)
+    for task in list(vars(module).values()):
+        if isinstance(task, Task) and task.name not in TASKS:
+            register_task(task)
+    _imported_from.update(dict.fromkeys(set(_tasks) - known, module.__name__))
+
+
+def load_tasks(modules: Iterable[str]) -> None:
+    """Import a user's modules, and register the tasks that they hold; raises `PluginError`."""
+    for name in modules:
+        import_tasks(name)
 
 
 def defining_modules(tasks: Iterable[Task]) -> list[str]:
@@ -189,7 +188,7 @@ def _defining_module(task: Task) -> str:
 
 
 def with_tasks(work: Callable[[Item], Result], modules: Iterable[str]) -> Callable[[Item], Result]:
-    """`work` to be called in another process, where the tasks of these modules are loaded first."""
+    """The function, for another process: it first imports the tasks that modules hold."""
     return partial(_with_tasks, work, tuple(modules))
 
 
@@ -207,7 +206,7 @@ def discover(package: str, path: Iterable[str]) -> None:
         _tasks[task.name] = task  # without importing another distribution's task of this name
 
 
-def _loaded(name: str) -> Task:
+def _load(name: str) -> Task:
     task: Any = load_plugin(GROUP, name)
     if not isinstance(task, Task):
         raise PluginError(f"{GROUP}: {name!r}: expected a Task, found {type(task).__name__}")
