@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from magical.demos import Trajectory, observations
 from magical.envs import EnvId
 from magical.envs.vector import MagicalVectorEnv
-from magical.experts import Memory, expert_for, strategy_seed
-from magical.experts.memory import note_other_action
+from magical.experts import Memory, expert_for, note_other_action, strategy_seed
 from magical.physics import Simulation
 from magical.scene import Poses, State
 from magical.scene.actions import POINTS

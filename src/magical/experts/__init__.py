@@ -34,9 +34,8 @@ environments; "tuned" was set by hand on expert scores, mostly on the Cluster ta
 `noise`.
 """
 
-from magical.experts.expert import Expert, expert_for, strategy_seed
+from magical.experts.expert import Expert, Memory, expert_for, note_other_action, strategy_seed
 from magical.experts.goals import get_planner, has_expert, register_planner
-from magical.experts.memory import Memory, note_other_action
 from magical.experts.planning import Move, MovePlan, Planner, Strategy
 from magical.experts.rollout import EpisodeExpert, ExpertEpisode, modules_of, rollout
 from magical.experts.state_view import StateView
