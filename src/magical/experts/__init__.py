@@ -34,10 +34,17 @@ environments; "tuned" was set by hand on expert scores, mostly on the Cluster ta
 `noise`.
 """
 
-from magical.experts.expert import Expert, Memory, expert_for, note_other_action, strategy_seed
+from magical.experts.expert import (
+    EpisodeExpert,
+    Expert,
+    Memory,
+    expert_for,
+    note_other_action,
+    strategy_seed,
+)
 from magical.experts.goals import get_planner, has_expert, register_planner
 from magical.experts.planning import Move, MovePlan, Planner, Strategy
-from magical.experts.rollout import EpisodeExpert, ExpertEpisode, modules_of, rollout
+from magical.experts.rollout import ExpertEpisode, modules_of, rollout
 from magical.experts.state_view import StateView
 
 __all__ = [

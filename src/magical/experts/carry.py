@@ -96,13 +96,7 @@ def carry(
 ) -> int:
     """The action that closes the fingers on the block between them, and then moves it to its goal.
 
-    Args:
-        view: the current state.
-        block: the block's centre.
-        goal: where it should go.
-        tolerance: units from the goal that are near enough.
-        others: the other blocks' centres.
-        held_steps: control steps for which the block has been between the fingers.
+    The block has been between the fingers for `held_steps` control steps.
     """
     local = view.to_robot_frame(block)
     if held_steps < GRIP_STEPS and view.finger_opening > GRIPPED_OPENING:
@@ -155,8 +149,7 @@ def _missing_room(
     robot = np.concatenate((robot, rear), axis=1)
     missing: Floats = excess(robot, ROBOT_LIMIT).max(axis=(1, 2))
     missing += REAR_WALL_FACTOR * excess(rear, ROBOT_LIMIT).max(axis=(1, 2))
-    at_walls = excess(block, BLOCK_LIMIT).sum(axis=2).mean(axis=1)
-    missing += BLOCK_WALL_FACTOR * at_walls
+    missing += BLOCK_WALL_FACTOR * excess(block, BLOCK_LIMIT).sum(axis=2).mean(axis=1)
     if others:
         points = np.array(others)
         missing += _intrusion(robot, points, CONTACT_DISTANCE)
@@ -166,37 +159,22 @@ def _missing_room(
 
 def _intrusion(paths: Floats, points: Floats, room: float) -> Floats:
     """Units (P,) by which paths (P, K, 2) get closer than `room` to points (M, 2), in total."""
-    offset = paths[:, :, None] - points
-    distance = lengths(offset)  # (P, K, M)
+    distance = lengths(paths[:, :, None] - points)  # (P, K, M)
     missing: Floats = np.maximum(0.0, room - distance.min(axis=1)).sum(axis=1)
     return missing
 
 
 def motion_table(speed: float, spin: float) -> MotionTable:
     """The motions from the initial speed (units / s) and spin (rad / s) nearest to those given."""
-    return _table(_nearest(SPEEDS, speed), _nearest(SPINS, spin))
-
-
-def _nearest(values: Sequence[float], per_second: float) -> int:
-    per_step = per_second / CONTROL_RATE
-    return min(range(len(values)), key=lambda i: abs(values[i] - per_step))
+    return _table(
+        min(SPEEDS, key=lambda each: abs(each - speed / CONTROL_RATE)),
+        min(SPINS, key=lambda each: abs(each - spin / CONTROL_RATE)),
+    )
 
 
 @cache
-def _table(speed: int, spin: int) -> MotionTable:
-    sequences = _action_sequences()
-    longest = max(map(len, sequences)) + 1  # one step more to come to rest
-    actions = np.array([ids + [0] * (longest - len(ids)) for ids in sequences])  # (N, T)
-    time = np.array([len(ids) for ids in sequences], dtype=np.float64)
-    centres, angles = _roll_out(actions, SPEEDS[speed], SPINS[spin])
-    ahead = _ahead(angles)  # (N, K, 2)
-    right = np.stack((ahead[..., 1], -ahead[..., 0]), axis=-1)
-    end = angles[:, -1], ahead[:, -1], right[:, -1]
-    return MotionTable(actions[:, 0], time, centres, centres + HELD_DISTANCE * ahead, *end)
-
-
-def _action_sequences() -> list[list[int]]:
-    return [
+def _table(speed: float, spin: float) -> MotionTable:
+    sequences = [
         [first] * n + [second] * m
         for first in range(OPEN_ACTIONS)
         for n in FIRST_STEPS
@@ -204,6 +182,14 @@ def _action_sequences() -> list[list[int]]:
         for m in SECOND_STEPS
         if (first != second) == (m > 0)
     ]
+    longest = max(map(len, sequences)) + 1  # one step more to come to rest
+    actions = np.array([ids + [0] * (longest - len(ids)) for ids in sequences])  # (N, T)
+    time = np.array([len(ids) for ids in sequences], dtype=np.float64)
+    centres, angles = _roll_out(actions, speed, spin)
+    ahead = _ahead(angles)  # (N, K, 2)
+    right = np.stack((ahead[..., 1], -ahead[..., 0]), axis=-1)
+    end = angles[:, -1], ahead[:, -1], right[:, -1]
+    return MotionTable(actions[:, 0], time, centres, centres + HELD_DISTANCE * ahead, *end)
 
 
 def _roll_out(actions: Ints, speed: float, spin: float) -> tuple[Floats, Floats]:

@@ -8,10 +8,17 @@ import numpy as np
 from magical.experts.carry import carry
 from magical.experts.geometry import DRIVING_CLEARANCE, WORKING_DISTANCE, segment_distance
 from magical.experts.goals import get_planner
-from magical.experts.grasp import best_side, is_between_fingers
+from magical.experts.grasp import (
+    approach,
+    back_off,
+    best_side,
+    escape,
+    is_between_fingers,
+    remaining_distance,
+    travel,
+)
 from magical.experts.planning import Move, MovePlan, Planner, Strategy
 from magical.experts.state_view import StateView
-from magical.experts.steering import approach, back_off, escape, remaining_distance, travel
 from magical.scene import NOOP, State
 from magical.scene.actions import ACTIONS, Action, Gripper
 from magical.scene.geometry import Point
@@ -261,6 +268,25 @@ def _give_up(memory: Memory) -> Memory:
         escape_steps=ESCAPE_STEPS,
         escape_with_block=memory.held_steps > 0 and not memory.escape_with_block,
     )
+
+
+class EpisodeExpert:
+    """An expert with its memory of one episode, in which others may also act."""
+
+    def __init__(self, expert: Expert) -> None:
+        self._expert = expert
+        self._memory = Memory()
+        self._action = NOOP  # its last action
+
+    def act(self, state: State) -> int:
+        """The expert's action in the current state."""
+        self._action, self._memory = self._expert.act(state, self._memory)
+        return self._action
+
+    def note_executed(self, action: int) -> None:
+        """Record the executed action; if it was not the expert's own, the expert takes over."""
+        if action != self._action:
+            self._memory = note_other_action(self._memory, action)
 
 
 def strategy_seed(variant: str, seed: int | None) -> np.random.SeedSequence:

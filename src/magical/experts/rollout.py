@@ -7,17 +7,11 @@ from gymnasium.utils.seeding import np_random
 from numpy.typing import NDArray
 
 from magical.errors import InvalidTaskError
-from magical.experts.expert import (
-    Expert,
-    Memory,
-    expert_for,
-    note_other_action,
-    strategy_seed,
-)
+from magical.experts.expert import EpisodeExpert, expert_for, strategy_seed
 from magical.experts.goals import get_planner
 from magical.experts.noise import RandomActions
 from magical.physics import Simulation
-from magical.scene import NOOP, Dynamics, Poses, Scene, State
+from magical.scene import Dynamics, Poses, Scene, State
 from magical.scene.actions import POINTS
 from magical.tasks import get_task
 from magical.tasks.registry import defining_modules
@@ -38,25 +32,6 @@ class ExpertEpisode:
     def poses(self) -> NDArray[np.float64]:
         """All poses, (T + 1, bodies, 3)."""
         return self.bodies[:, :, :3]
-
-
-class EpisodeExpert:
-    """An expert with its memory of one episode, in which others may also act."""
-
-    def __init__(self, expert: Expert) -> None:
-        self._expert = expert
-        self._memory = Memory()
-        self._action = NOOP  # its last action
-
-    def act(self, state: State) -> int:
-        """The expert's action in the current state."""
-        self._action, self._memory = self._expert.act(state, self._memory)
-        return self._action
-
-    def note_executed(self, action: int) -> None:
-        """Record the executed action; if it was not the expert's own, the expert takes over."""
-        if action != self._action:
-            self._memory = note_other_action(self._memory, action)
 
 
 def rollout(
