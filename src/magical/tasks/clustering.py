@@ -1,4 +1,4 @@
-"""ClusterColour and ClusterShape, except for their Demo scenes (appendix A.2.7)."""
+"""ClusterColour and ClusterShape: push the blocks into clusters of one value (appendix A.2.7)."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from magical.scene import COLOURS, SHAPES, Poses, Scene
+from magical.scene import COLOURS, SHAPES, Block, Colour, Pose, Poses, Scene, Shape
 from magical.tasks.attributes import cycle_blocks, sample_count, sample_covering
 from magical.tasks.axes import EVERYTHING, Axis
 from magical.tasks.scoring import Distances, centroid_distances, positions
@@ -59,7 +59,7 @@ def _validate(scene: Scene, attribute: Attribute) -> str:
     return f"expected at least one {' and one '.join(missing)} block, found none" if missing else ""
 
 
-def make_task(attribute: Attribute, demo: Scene) -> Task:
+def _make_task(attribute: Attribute, demo: Scene) -> Task:
     """The task of clustering blocks by an attribute."""
     return Task(
         name=f"Cluster{attribute.capitalize()}",
@@ -81,3 +81,38 @@ distances, and its score rises from 0.75.""",
         max_regions=0,
         validate_fn=partial(_validate, attribute=attribute),
     )
+
+
+CLUSTER_COLOUR = _make_task(
+    "colour",
+    Scene(
+        robot=Pose(0.71692, -0.34374, 0.83693),
+        blocks=(
+            Block(Shape.CIRCLE, Colour.BLUE, Pose(-0.5147, 0.14149, -0.38871)),
+            Block(Shape.STAR, Colour.BLUE, Pose(-0.1347, -0.71414, 1.0533)),
+            Block(Shape.SQUARE, Colour.BLUE, Pose(-0.74247, -0.097592, 1.1571)),
+            Block(Shape.PENTAGON, Colour.GREEN, Pose(-0.077363, -0.42964, -0.64379)),
+            Block(Shape.PENTAGON, Colour.GREEN, Pose(0.51978, 0.1853, -1.1762)),
+            Block(Shape.SQUARE, Colour.RED, Pose(-0.5278, -0.21642, 2.9356)),
+            Block(Shape.STAR, Colour.YELLOW, Pose(-0.54039, 0.48292, 0.072818)),
+            Block(Shape.PENTAGON, Colour.YELLOW, Pose(-0.16761, 0.64303, -2.3255)),
+        ),
+    ),
+)
+
+CLUSTER_SHAPE = _make_task(
+    "shape",
+    Scene(
+        robot=Pose(0.286, -0.202, -1.878),
+        blocks=(
+            Block(Shape.SQUARE, Colour.YELLOW, Pose(-0.414, 0.297, -1.731)),
+            Block(Shape.PENTAGON, Colour.BLUE, Pose(0.068, 0.705, 2.184)),
+            Block(Shape.PENTAGON, Colour.RED, Pose(0.821, 0.220, 0.650)),
+            Block(Shape.PENTAGON, Colour.RED, Pose(-0.461, -0.749, -2.673)),
+            Block(Shape.CIRCLE, Colour.GREEN, Pose(0.867, -0.149, -2.215)),
+            Block(Shape.STAR, Colour.YELLOW, Pose(-0.785, -0.140, -0.405)),
+            Block(Shape.STAR, Colour.BLUE, Pose(-0.305, -0.226, 1.341)),
+            Block(Shape.CIRCLE, Colour.GREEN, Pose(0.758, -0.708, -2.140)),
+        ),
+    ),
+)

@@ -17,20 +17,6 @@ from magical.tasks.task import Task
 OTHERS = (1, 5)  # minimum and maximum number of outside blocks, without the duplicate, in CountPlus
 MARGIN = 0.06  # units from the query's centre to the region's nearest edge
 
-DEMO = Scene(
-    robot=Pose(-0.57, 0.25, 3.83),
-    blocks=(
-        Block(Shape.PENTAGON, Colour.GREEN, Pose(-0.066751, 0.7552, -2.9266)),
-        Block(Shape.CIRCLE, Colour.RED, Pose(-0.05195, 0.31468, 1.5418)),
-        Block(Shape.CIRCLE, Colour.RED, Pose(0.57528, -0.46865, -2.2141)),
-        Block(Shape.SQUARE, Colour.YELLOW, Pose(0.40594, -0.74977, 0.24582)),
-        Block(Shape.STAR, Colour.BLUE, Pose(0.45254, 0.3681, -1.0834)),
-        Block(Shape.PENTAGON, Colour.YELLOW, Pose(0.76849, -0.10652, 0.10028)),
-        Block(Shape.PENTAGON, Colour.YELLOW, Pose(-0.33, -0.49, -0.51)),
-    ),
-    regions=(Region(Colour.YELLOW, x=-0.72, y=-0.22, height=0.67, width=0.72),),
-)
-
 
 def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
     """Sample the query's colour and shape, and the others' number, colours and shapes."""
@@ -91,7 +77,19 @@ and R the blocks that end inside the region, the score is
 In the published code, any two blocks like the query suffice, and q need not stay.""",
     section="A.2.5",
     horizon=100,
-    demo=DEMO,
+    demo=Scene(
+        robot=Pose(-0.57, 0.25, 3.83),
+        blocks=(
+            Block(Shape.PENTAGON, Colour.GREEN, Pose(-0.066751, 0.7552, -2.9266)),
+            Block(Shape.CIRCLE, Colour.RED, Pose(-0.05195, 0.31468, 1.5418)),
+            Block(Shape.CIRCLE, Colour.RED, Pose(0.57528, -0.46865, -2.2141)),
+            Block(Shape.SQUARE, Colour.YELLOW, Pose(0.40594, -0.74977, 0.24582)),
+            Block(Shape.STAR, Colour.BLUE, Pose(0.45254, 0.3681, -1.0834)),
+            Block(Shape.PENTAGON, Colour.YELLOW, Pose(0.76849, -0.10652, 0.10028)),
+            Block(Shape.PENTAGON, Colour.YELLOW, Pose(-0.33, -0.49, -0.51)),
+        ),
+        regions=(Region(Colour.YELLOW, x=-0.72, y=-0.22, height=0.67, width=0.72),),
+    ),
     axes=EVERYTHING,
     randomise_fn=randomise,
     placement=Placement(encloses=True, margin=MARGIN),

@@ -25,20 +25,6 @@ PAIRS = (2, 3)  # minimum and maximum number of pairs in CountPlus
 REGION_SIZE = (0.4, 0.5)  # units
 MARGIN = 0.12  # units from a block's centre to its region's nearest edge
 
-DEMO = Scene(
-    robot=Pose(0.368, 0.586, 0.718),
-    blocks=(
-        Block(Shape.PENTAGON, Colour.GREEN, Pose(0.289, 0.030, 0.307)),
-        Block(Shape.SQUARE, Colour.GREEN, Pose(0.133, -0.561, 1.699)),
-        Block(Shape.PENTAGON, Colour.BLUE, Pose(-0.336, 0.000, -1.529)),
-    ),
-    regions=(
-        Region(Colour.GREEN, x=-0.032, y=0.348, height=0.427, width=0.468),
-        Region(Colour.GREEN, x=0.019, y=-0.391, height=0.460, width=0.458),
-        Region(Colour.RED, x=-0.681, y=0.196, height=0.498, width=0.418),
-    ),
-)
-
 
 def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
     """Sample the number of pairs, the blocks' shapes, the regions' colours and the mismatch."""
@@ -96,7 +82,19 @@ TASK = Task(
 contains exactly the block that it started with, otherwise 0.""",
     section="A.2.6",
     horizon=60,
-    demo=DEMO,
+    demo=Scene(
+        robot=Pose(0.368, 0.586, 0.718),
+        blocks=(
+            Block(Shape.PENTAGON, Colour.GREEN, Pose(0.289, 0.030, 0.307)),
+            Block(Shape.SQUARE, Colour.GREEN, Pose(0.133, -0.561, 1.699)),
+            Block(Shape.PENTAGON, Colour.BLUE, Pose(-0.336, 0.000, -1.529)),
+        ),
+        regions=(
+            Region(Colour.GREEN, x=-0.032, y=0.348, height=0.427, width=0.468),
+            Region(Colour.GREEN, x=0.019, y=-0.391, height=0.460, width=0.458),
+            Region(Colour.RED, x=-0.681, y=0.196, height=0.498, width=0.418),
+        ),
+    ),
     axes=EVERYTHING,
     randomise_fn=randomise,
     placement=Placement(region_size=REGION_SIZE, encloses=True, margin=MARGIN),

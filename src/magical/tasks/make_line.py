@@ -13,16 +13,6 @@ from magical.tasks.task import Task
 BLOCKS = (3, 4)  # minimum and maximum in CountPlus
 PUBLISHED_SHORTEST = 3  # blocks: shorter lines score 0 in the published code
 
-DEMO = Scene(
-    robot=Pose(0.702, -0.255, 0.347),
-    blocks=(
-        Block(Shape.STAR, Colour.BLUE, Pose(0.790, -0.820, -0.721)),
-        Block(Shape.CIRCLE, Colour.YELLOW, Pose(-0.177, 0.383, -1.733)),
-        Block(Shape.STAR, Colour.RED, Pose(-0.051, -0.128, 2.696)),
-        Block(Shape.PENTAGON, Colour.GREEN, Pose(-0.292, -0.745, -0.159)),
-    ),
-)
-
 
 def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
     """Sample the number of blocks, and each block's colour and shape."""
@@ -54,7 +44,15 @@ is 1 if m = n, 0.5 if m = n - 1, otherwise 0. Colours and shapes are ignored. In
 two of three blocks in a line score 0.""",
     section="A.2.4",
     horizon=180,
-    demo=DEMO,
+    demo=Scene(
+        robot=Pose(0.702, -0.255, 0.347),
+        blocks=(
+            Block(Shape.STAR, Colour.BLUE, Pose(0.790, -0.820, -0.721)),
+            Block(Shape.CIRCLE, Colour.YELLOW, Pose(-0.177, 0.383, -1.733)),
+            Block(Shape.STAR, Colour.RED, Pose(-0.051, -0.128, 2.696)),
+            Block(Shape.PENTAGON, Colour.GREEN, Pose(-0.292, -0.745, -0.159)),
+        ),
+    ),
     axes=EVERYTHING,
     randomise_fn=randomise,
     score_fn=score,

@@ -20,19 +20,6 @@ from magical.tasks.task import Task
 TARGETS = (1, 2)  # minimum and maximum in CountPlus
 DISTRACTORS = (0, 2)  # minimum and maximum of each other colour in CountPlus
 
-# Targets first, then distractors by colour in the vocabulary's order.
-DEMO = Scene(
-    robot=Pose(-0.5, 0.1, -1.2 * math.pi),
-    blocks=(
-        Block(Shape.STAR, Colour.GREEN, Pose(0.8, -0.7, 2.37)),
-        Block(Shape.SQUARE, Colour.GREEN, Pose(-0.68, 0.72, 1.28)),
-        Block(Shape.PENTAGON, Colour.BLUE, Pose(-0.05, -0.2, -1.09)),
-        Block(Shape.CIRCLE, Colour.YELLOW, Pose(-0.75, -0.55, 2.78)),
-        Block(Shape.PENTAGON, Colour.YELLOW, Pose(0.3, -0.82, -1.15)),
-    ),
-    regions=(Region(Colour.GREEN, x=0.1, y=0.7, height=0.7, width=0.6),),
-)
-
 
 def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
     """Sample the target colour (the others follow in order), numbers of blocks and shapes."""
@@ -93,7 +80,18 @@ and R the blocks that end inside the region, the score is
     |T & R| / |T|  x  (1 - |D & R| / |R|)      (0 if R is empty).""",
     section="A.2.3",
     horizon=120,
-    demo=DEMO,
+    # Targets first, then distractors by colour in the vocabulary's order.
+    demo=Scene(
+        robot=Pose(-0.5, 0.1, -1.2 * math.pi),
+        blocks=(
+            Block(Shape.STAR, Colour.GREEN, Pose(0.8, -0.7, 2.37)),
+            Block(Shape.SQUARE, Colour.GREEN, Pose(-0.68, 0.72, 1.28)),
+            Block(Shape.PENTAGON, Colour.BLUE, Pose(-0.05, -0.2, -1.09)),
+            Block(Shape.CIRCLE, Colour.YELLOW, Pose(-0.75, -0.55, 2.78)),
+            Block(Shape.PENTAGON, Colour.YELLOW, Pose(0.3, -0.82, -1.15)),
+        ),
+        regions=(Region(Colour.GREEN, x=0.1, y=0.7, height=0.7, width=0.6),),
+    ),
     axes=EVERYTHING,
     randomise_fn=randomise,
     score_fn=score,

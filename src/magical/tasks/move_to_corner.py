@@ -19,12 +19,6 @@ GOAL = (-WORKSPACE_HALF, WORKSPACE_HALF)  # the top left corner
 NO_SCORE = math.sqrt(2.0)  # units from the corner: no score from here on
 FULL_SCORE = NO_SCORE / 2  # units: full score within
 
-DEMO = Scene(
-    robot=Pose(0.4, 0.0, 0.55 * math.pi),
-    blocks=(Block(Shape.SQUARE, Colour.RED, Pose(0.1, -0.65, 0.13 * math.pi)),),
-    robot_first=True,
-)
-
 
 def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
     """Sample the block's colour and shape."""
@@ -44,7 +38,11 @@ TASK = Task(
 of the workspace, 0 beyond sqrt(2) units, and linear in the distance between.""",
     section="A.2.1",
     horizon=80,
-    demo=DEMO,
+    demo=Scene(
+        robot=Pose(0.4, 0.0, 0.55 * math.pi),
+        blocks=(Block(Shape.SQUARE, Colour.RED, Pose(0.1, -0.65, 0.13 * math.pi)),),
+        robot_first=True,
+    ),
     axes=Axis.JITTER | Axis.COLOUR | Axis.SHAPE | Axis.DYNAMICS,
     randomise_fn=randomise,
     score_fn=score,

@@ -9,11 +9,6 @@ from magical.tasks.attributes import sample_item
 from magical.tasks.axes import Axis
 from magical.tasks.task import Task
 
-DEMO = Scene(
-    robot=Pose(0.058, 0.53, -2.13),
-    regions=(Region(Colour.BLUE, x=-0.62, y=-0.17, height=0.76, width=0.75),),
-)
-
 
 def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
     """Sample the region's colour."""
@@ -33,7 +28,10 @@ TASK = Task(
     rule="The score is 1 if the centre of the robot's body ends inside the goal region, else 0.",
     section="A.2.2",
     horizon=40,
-    demo=DEMO,
+    demo=Scene(
+        robot=Pose(0.058, 0.53, -2.13),
+        regions=(Region(Colour.BLUE, x=-0.62, y=-0.17, height=0.76, width=0.75),),
+    ),
     axes=Axis.JITTER | Axis.LAYOUT | Axis.COLOUR | Axis.DYNAMICS,
     randomise_fn=randomise,
     score_fn=score,

@@ -198,9 +198,9 @@ def _with_tasks(work: Callable[[Item], Result], modules: Iterable[str], item: It
 
 
 def discover(package: str, path: Iterable[str]) -> None:
-    """Register the `TASK` of every module in a package, in the order of the appendix's sections."""
-    modules = (importlib.import_module(f"{package}.{m.name}") for m in pkgutil.iter_modules(path))
-    tasks = [module.TASK for module in modules if hasattr(module, "TASK")]
+    """Register the tasks in the modules of a package, in the order of the appendix's sections."""
+    modules = [importlib.import_module(f"{package}.{m.name}") for m in pkgutil.iter_modules(path)]
+    tasks = [task for module in modules for task in vars(module).values() if isinstance(task, Task)]
     for task in sorted(tasks, key=lambda task: (not task.section, task.section, task.name)):
         _own.add(task.name)
         _tasks[task.name] = task  # without importing another distribution's task of this name
