@@ -8,13 +8,13 @@ blocks and places, so that demonstrators differ.
 
 One decision, in `expert`:
     1. If the robot has not moved or progressed for too long, it gives up the move and drives away
-       for a few steps (`steering.escape`).
+       for a few steps (`grasp.escape`).
     2. If there is no move, the move is done, or the task is solved, it plans again (`goals`) and
        chooses a move by the steps that grasping (`grasp`) and carrying take, blocks in the way, and
        earlier failures. With nothing left to do, it backs off all blocks and closes the fingers.
     3. If the block is between the fingers, it closes them and carries the block (`carry`): it takes
        the first action of the best of all short motions under a motion model.
-    4. Otherwise it approaches (`steering.approach`): it drives to the gate behind the best side,
+    4. Otherwise it approaches (`grasp.approach`): it drives to the gate behind the best side,
        around other blocks (`paths`), then straight ahead.
 If an action other than its own is executed (perturbed demonstrations, DAgger), the expert takes
 over from the next state.

@@ -15,22 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from magical.experts.geometry import (
-    BACK_STEP,
-    CONTACT_DISTANCE,
-    DRIVE_STEP,
-    DRIVING_CLEARANCE,
-    HELD_DISTANCE,
-    ROBOT_LIMIT,
-    TURN_STEP,
-    WORKING_DISTANCE,
-    Floats,
-    bearing,
-    excess,
-    is_within,
-    project_on_segments,
-    wrap_angle,
-)
+from magical.experts import geometry as g
+from magical.experts.geometry import Floats
 from magical.experts.paths import is_clear, next_waypoint
 from magical.experts.planning import GRASP_SIDES
 from magical.experts.state_view import StateView
@@ -65,8 +51,8 @@ SIDE_SWITCH_STEPS = 6.0  # control steps by which another side must be better; t
 # When a heading is corrected, and when the robot drives while it turns.
 BRAKING = 27.0  # rad / s^2 at which an empty robot stops turning; measured: 26 to 28
 FAR_DISTANCE = 0.5  # units: further away, heading errors may grow to a whole step; tuned
-FAR_ERROR = 0.8 * TURN_STEP  # rad: larger errors are corrected, far away; tuned
-NEAR_ERROR = 0.55 * TURN_STEP  # rad: larger errors are corrected, close by; tuned
+FAR_ERROR = 0.8 * g.TURN_STEP  # rad: larger errors are corrected, far away; tuned
+NEAR_ERROR = 0.55 * g.TURN_STEP  # rad: larger errors are corrected, close by; tuned
 AIMED = 0.35  # rad: heading error up to which the robot drives on; tuned
 ARC = 1.1  # rad: the same if there is room for an arc; tuned
 ARC_DISTANCE = 0.6  # units: such room, twice the arc's radius (measured: 0.32)
@@ -74,7 +60,7 @@ ARC_DISTANCE = 0.6  # units: such room, twice the arc's radius (measured: 0.32)
 # How a block is brought between the open fingers.
 ARRIVED = 0.16  # units from the gate at which the robot has reached it; tuned
 DIRECT = GATE_DISTANCES[0] + 0.12  # units: nearer blocks are approached without a path; tuned
-STRAIGHT_CLEARANCE = DRIVING_CLEARANCE - 0.04  # units to others on the straight approach; tuned
+STRAIGHT_CLEARANCE = g.DRIVING_CLEARANCE - 0.04  # units to others on the straight approach; tuned
 CROWDED_CONE = 0.25  # rad: replaces `CONE` if other blocks are near; tuned
 FINGER_END = 0.46  # units ahead up to which a block beside a finger is hit; tuned
 
@@ -90,7 +76,7 @@ REAR = 0.1  # units behind the robot's centre where free space is required; tune
 REAR_LIMIT = 0.82  # units: largest coordinate of that point; tuned
 OFF_AXIS = 0.06  # units: the robot turns away from a block this far off its axis; tuned
 
-SIDES: Floats = wrap_angle(2 * math.pi * np.arange(float(GRASP_SIDES)) / GRASP_SIDES)  # rad
+SIDES: Floats = g.wrap_angle(2 * math.pi * np.arange(float(GRASP_SIDES)) / GRASP_SIDES)  # rad
 _GATE_DISTANCES: Floats = np.array(GATE_DISTANCES)[:, None, None, None]
 _ESCAPES = (
     (Longitudinal.BACK, Turn.STRAIGHT),
@@ -117,7 +103,7 @@ def gate_point(block: Point, side: float) -> Point:
     """Where the last straight approach begins: nearer if a wall leaves no room."""
     for distance in GATE_DISTANCES:
         gate = point_behind(block, side, distance)
-        if is_within(gate, ROBOT_LIMIT):
+        if g.is_within(gate, g.ROBOT_LIMIT):
             break
     return gate
 
@@ -139,18 +125,18 @@ def make_grasps(blocks: Floats, sides: Floats, others: Floats) -> Grasps:
     """
     ahead = np.array((-np.sin(sides), np.cos(sides))).T  # (S, 2) from the robot towards the block
     centres = blocks[:, None]  # (B, 1, 2)
-    fits = _outside(centres - _GATE_DISTANCES * ahead, ROBOT_LIMIT) <= 0.0  # (distances, B, S)
+    fits = _outside(centres - _GATE_DISTANCES * ahead, g.ROBOT_LIMIT) <= 0.0  # (distances, B, S)
     fits[-1] = True
     gate_distances = _GATE_DISTANCES[fits.argmax(axis=0), 0, 0]  # (B, S, 1), as in `gate_point`
-    gates, stands = centres - gate_distances * ahead, centres - HELD_DISTANCE * ahead
-    walls = STAND_WALL_COST * _outside(stands, ROBOT_LIMIT)
-    walls += GATE_WALL_COST * _outside(gates, ROBOT_LIMIT)
+    gates, stands = centres - gate_distances * ahead, centres - g.HELD_DISTANCE * ahead
+    walls = STAND_WALL_COST * _outside(stands, g.ROBOT_LIMIT)
+    walls += GATE_WALL_COST * _outside(gates, g.ROBOT_LIMIT)
     # How far behind the block the straight approach passes nearest to each other block.
     offsets = others - centres  # (B, M, 2)
     passing = -(ahead @ offsets.swapaxes(1, 2))  # (B, S, M)
-    passing = np.minimum(np.maximum(passing, HELD_DISTANCE), gate_distances)
+    passing = np.minimum(np.maximum(passing, g.HELD_DISTANCE), gate_distances)
     gaps = lengths(offsets[:, None] + passing[..., None] * ahead[:, None])
-    missing = np.maximum(0.0, CONTACT_DISTANCE - gaps)
+    missing = np.maximum(0.0, g.CONTACT_DISTANCE - gaps)
     to_finger = FINGER_OFFSET * ahead[:, ::-1] * (1.0, -1.0)  # (S, 2) to the right
     for finger in (centres + to_finger, centres - to_finger):  # (B, S, 2)
         walls += FINGER_WALL_COST * (_outside(finger, FINGER_LIMIT) > 0.0)
@@ -179,7 +165,7 @@ def best_side(
     `preferences` (GRASP_SIDES,) in control steps are added to the sides' costs. The `current` side
     is kept unless another is clearly better.
     """
-    sides = [bearing(view.position, block), *SIDES.tolist()]
+    sides = [g.bearing(view.position, block), *SIDES.tolist()]
     kept = [] if current is None else [current]
     costs = grasp_costs(view, block, goal, others, np.array(sides + kept))
     costs[: len(sides)] += (preferences[0], *preferences)
@@ -196,8 +182,8 @@ def grasp_costs(
     points = np.array((*others, block))  # (M + 1, 2)
     grasps = make_grasps(points[-1:], sides, points[:-1])
     gates = grasps.gates[0]  # (S, 2)
-    _, gaps = project_on_segments(np.array(view.position), gates[:, None], points)
-    narrow = np.maximum(0.0, DRIVING_CLEARANCE - gaps)  # (S, M + 1)
+    _, gaps = g.project_on_segments(np.array(view.position), gates[:, None], points)
+    narrow = np.maximum(0.0, g.DRIVING_CLEARANCE - gaps)  # (S, M + 1)
     costs: Floats = grasps.wall_costs[0] + grasps.block_costs[0].sum(axis=-1)
     costs += PATH_COST * narrow[:, :-1].sum(axis=-1)
     costs += _approach_steps(view, block, sides, gates, narrow[:, -1])
@@ -212,41 +198,41 @@ def _approach_steps(
 
     `narrow` (S,): units by which the block itself obstructs the way to each gate.
     """
-    straight, away = bearing(view.position, block), view.distance_to(block)
-    turn = abs(wrap_angle(straight - view.angle))
+    straight, away = g.bearing(view.position, block), view.distance_to(block)
+    turn = abs(g.wrap_angle(straight - view.angle))
     retreat = max(0.0, SWEEP_RADIUS - away) if turn > MISAIMED else 0.0
-    direct = (away - HELD_DISTANCE + 2 * retreat) / DRIVE_STEP + turn / TURN_STEP
-    distance = lengths(gates - view.position) + GATE_DISTANCES[0] - HELD_DISTANCE
-    distance += DETOUR * narrow / DRIVING_CLEARANCE
+    direct = (away - g.HELD_DISTANCE + 2 * retreat) / g.DRIVE_STEP + turn / g.TURN_STEP
+    distance = lengths(gates - view.position) + GATE_DISTANCES[0] - g.HELD_DISTANCE
+    distance += DETOUR * narrow / g.DRIVING_CLEARANCE
     heading = np.arctan2(view.x - gates[:, 0], gates[:, 1] - view.y)
-    turns = np.abs(wrap_angle(heading - view.angle)) + np.abs(wrap_angle(sides - heading))
-    by_gate = distance / DRIVE_STEP + turns / TURN_STEP
-    return np.where(np.abs(wrap_angle(straight - sides)) < CONE, direct, by_gate)
+    turns = np.abs(g.wrap_angle(heading - view.angle)) + np.abs(g.wrap_angle(sides - heading))
+    by_gate = distance / g.DRIVE_STEP + turns / g.TURN_STEP
+    return np.where(np.abs(g.wrap_angle(straight - sides)) < CONE, direct, by_gate)
 
 
 def _carry_steps(stands: Floats, block: Point, sides: Floats, goal: Point) -> Floats:
     """Control steps (S,) to push or pull the block, held from each side, to its goal."""
     distance = math.dist(block, goal)
     to_goal = np.arctan2(stands[:, 0] - goal[0], goal[1] - stands[:, 1])
-    push_turn = np.abs(wrap_angle(to_goal - sides)) / TURN_STEP
-    pull_turn = np.abs(wrap_angle(bearing(goal, block) - sides)) / TURN_STEP
+    push_turn = np.abs(g.wrap_angle(to_goal - sides)) / g.TURN_STEP
+    pull_turn = np.abs(g.wrap_angle(g.bearing(goal, block) - sides)) / g.TURN_STEP
     return np.minimum(
-        distance / DRIVE_STEP + CARRYING_TURN * push_turn,
-        distance / BACK_STEP + CARRYING_TURN * pull_turn + PULL_STEPS,
+        distance / g.DRIVE_STEP + CARRYING_TURN * push_turn,
+        distance / g.BACK_STEP + CARRYING_TURN * pull_turn + PULL_STEPS,
     )
 
 
 def _outside(points: Floats, limit: float) -> Floats:
     """By how much the larger coordinate of points (..., 2) exceeds a limit, or 0."""
-    beyond: Floats = excess(points, limit).max(axis=-1)
+    beyond: Floats = g.excess(points, limit).max(axis=-1)
     return beyond
 
 
 def travel(view: StateView, goal: Point, obstacles: Sequence[Point], push_aside: bool) -> int:
     """The action that drives to a point around blocks, or pushes them aside."""
-    clearance = CONTACT_DISTANCE if push_aside else DRIVING_CLEARANCE
+    clearance = g.CONTACT_DISTANCE if push_aside else g.DRIVING_CLEARANCE
     point = next_waypoint(view.position, goal, obstacles, clearance, view.angle)
-    error = _heading_error(view, bearing(view.position, point))
+    error = _heading_error(view, g.bearing(view.position, point))
     if push_aside:
         return _drive(view, point, error)
     held = _block_between_fingers(view, obstacles)
@@ -272,20 +258,20 @@ def approach(
 
 def _is_direct(view: StateView, block: Point, side: float, others: Sequence[Point]) -> bool:
     """Whether the robot can drive straight at the block without passing its gate."""
-    straight = bearing(view.position, block)
-    crowded = any(math.dist(block, other) < WORKING_DISTANCE for other in others)
-    if abs(wrap_angle(straight - side)) > (CROWDED_CONE if crowded else CONE):
+    straight = g.bearing(view.position, block)
+    crowded = any(math.dist(block, other) < g.WORKING_DISTANCE for other in others)
+    if abs(g.wrap_angle(straight - side)) > (CROWDED_CONE if crowded else CONE):
         return False
     if view.distance_to(block) < DIRECT:
         return True
-    stand = point_behind(block, straight, HELD_DISTANCE)
+    stand = point_behind(block, straight, g.HELD_DISTANCE)
     return is_clear(view.position, stand, others, STRAIGHT_CLEARANCE)
 
 
 def _close_in(view: StateView, block: Point, others: Sequence[Point], push_aside: bool) -> int:
     """Drive straight at the block; back off first if a turn would push something."""
     away = view.distance_to(block)
-    error = _heading_error(view, bearing(view.position, block))
+    error = _heading_error(view, g.bearing(view.position, block))
     is_misaimed = abs(error) > AIMED
     held = _block_between_fingers(view, others)
     if held is not None and (is_misaimed or view.distance_to(held) < away - 0.1):
@@ -303,7 +289,7 @@ def _close_in(view: StateView, block: Point, others: Sequence[Point], push_aside
 
 def remaining_distance(view: StateView, block: Point, side: float) -> float:
     """Approximate distance that the robot must drive to grasp a block at bearing `side`."""
-    if abs(wrap_angle(bearing(view.position, block) - side)) < CONE:
+    if abs(g.wrap_angle(g.bearing(view.position, block) - side)) < CONE:
         return view.distance_to(block)
     return view.distance_to(gate_point(block, side)) + GATE_DISTANCES[0]
 
@@ -330,7 +316,7 @@ def escape(attempt: int, with_block: bool) -> int:
 def _heading_error(view: StateView, heading: float) -> float:
     """Radians left to turn, counter-clockwise, once the current turn has come to rest."""
     stopping = view.spin * abs(view.spin) / (2 * BRAKING)
-    return wrap_angle(heading - view.angle - stopping)
+    return g.wrap_angle(heading - view.angle - stopping)
 
 
 def _turn_towards(error: float, threshold: float) -> Turn:
@@ -343,8 +329,8 @@ def _turn_towards(error: float, threshold: float) -> Turn:
 def _can_back(view: StateView, obstacles: Sequence[Point] = ()) -> bool:
     """Whether there is room behind the robot, at walls and at the obstacles."""
     rear = view.point_ahead(-REAR)
-    return is_within(rear, REAR_LIMIT) and all(
-        math.dist(rear, other) > CONTACT_DISTANCE or view.to_robot_frame(other)[1] > 0
+    return g.is_within(rear, REAR_LIMIT) and all(
+        math.dist(rear, other) > g.CONTACT_DISTANCE or view.to_robot_frame(other)[1] > 0
         for other in obstacles
     )
 

@@ -34,15 +34,13 @@ def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
     return replace(scene, blocks=blocks)
 
 
-def score(scene: Scene, poses: Poses, attribute: Attribute) -> float:
-    """The appendix's score, 0 to 1."""
+def _score(scene: Scene, poses: Poses, attribute: Attribute) -> float:
     own, other = _distances(scene, poses, attribute)
     fraction = float(np.mean(own < other / 3))
     return max(0.0, fraction - NO_SCORE) / (1.0 - NO_SCORE)
 
 
-def published_score(scene: Scene, poses: Poses, attribute: Attribute) -> float:
-    """The published code's score, 0 to 1 (docs/specification.md, section 9)."""
+def _published_score(scene: Scene, poses: Poses, attribute: Attribute) -> float:
     own, other = _distances(scene, poses, attribute)
     fraction = float(np.mean(np.sqrt(own) < np.sqrt(other) - 2 * own))
     return max(0.0, fraction - PUBLISHED_NO_SCORE) / (1.0 - PUBLISHED_NO_SCORE)
@@ -75,8 +73,8 @@ distances, and its score rises from 0.75.""",
         demo=demo,
         axes=EVERYTHING,
         randomise_fn=randomise,
-        score_fn=partial(score, attribute=attribute),
-        published_score_fn=partial(published_score, attribute=attribute),
+        score_fn=partial(_score, attribute=attribute),
+        published_score_fn=partial(_published_score, attribute=attribute),
         max_blocks=BLOCKS[1],
         max_regions=0,
         validate_fn=partial(_validate, attribute=attribute),

@@ -15,7 +15,6 @@ from magical.tasks.scoring import blocks_inside
 from magical.tasks.task import Task
 
 OTHERS = (1, 5)  # minimum and maximum number of outside blocks, without the duplicate, in CountPlus
-MARGIN = 0.06  # units from the query's centre to the region's nearest edge
 
 
 def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
@@ -32,14 +31,12 @@ def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
     )
 
 
-def score(scene: Scene, poses: Poses) -> float:
-    """Query satisfied, times one minus the distractor penalty, 0 to 1 (appendix A.2.5)."""
+def _score(scene: Scene, poses: Poses) -> float:
     query_stays = len(scene.blocks) - 1 in blocks_inside(scene.regions[0], scene, poses)
-    return published_score(scene, poses) if query_stays else 0.0
+    return _published_score(scene, poses) if query_stays else 0.0
 
 
-def published_score(scene: Scene, poses: Poses) -> float:
-    """As `score`, but any two blocks like the query suffice (docs/specification.md, section 9)."""
+def _published_score(scene: Scene, poses: Poses) -> float:
     kind, inside = alike(scene), blocks_inside(scene.regions[0], scene, poses)
     return len(inside & kind) / len(inside) if len(kind & inside) > 1 else 0.0
 
@@ -92,10 +89,10 @@ In the published code, any two blocks like the query suffice, and q need not sta
     ),
     axes=EVERYTHING,
     randomise_fn=randomise,
-    placement=Placement(encloses=True, margin=MARGIN),
-    score_fn=score,
+    placement=Placement(encloses=True, margin=0.06),
+    score_fn=_score,
     instruction_fn=_instruction,
-    published_score_fn=published_score,
+    published_score_fn=_published_score,
     min_blocks=2,
     max_blocks=OTHERS[1] + 2,
     min_regions=1,

@@ -22,8 +22,6 @@ from magical.tasks.scoring import blocks_inside
 from magical.tasks.task import Task
 
 PAIRS = (2, 3)  # minimum and maximum number of pairs in CountPlus
-REGION_SIZE = (0.4, 0.5)  # units
-MARGIN = 0.12  # units from a block's centre to its region's nearest edge
 
 
 def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
@@ -46,8 +44,7 @@ def mismatched(scene: Scene) -> list[int]:
     return [i for i, (block, region) in enumerate(pairs) if block.colour != region.colour]
 
 
-def score(scene: Scene, poses: Poses) -> float:
-    """1 if only the mismatched block has left, and nothing has come, else 0 (appendix A.2.6)."""
+def _score(scene: Scene, poses: Poses) -> float:
     (odd,) = mismatched(scene)
     inside = [blocks_inside(region, scene, poses) for region in scene.regions]
     left = odd not in inside.pop(odd)
@@ -97,8 +94,8 @@ contains exactly the block that it started with, otherwise 0.""",
     ),
     axes=EVERYTHING,
     randomise_fn=randomise,
-    placement=Placement(region_size=REGION_SIZE, encloses=True, margin=MARGIN),
-    score_fn=score,
+    placement=Placement(region_size=(0.4, 0.5), encloses=True, margin=0.12),
+    score_fn=_score,
     instruction_fn=_instruction,
     max_blocks=PAIRS[1],
     max_regions=PAIRS[1],

@@ -9,7 +9,7 @@ import numpy as np
 
 from magical.errors import InvalidConfigError, UnknownNameError
 from magical.messages import quoted
-from magical.tasks.registry import get_task, importable_tasks
+from magical.tasks.registry import get_task
 from magical.tasks.task import Horizon
 
 APPENDIX: Final = "appendix"
@@ -46,10 +46,10 @@ def have_two_horizons(tasks: Iterable[str]) -> bool:
 
 def require_two_horizons(tasks: Iterable[str]) -> None:
     """Raise `UnknownNameError` unless `have_two_horizons`."""
-    names = sorted(set(tasks))
+    names = list(dict.fromkeys(tasks))
     if not have_two_horizons(names):
-        expected = ", ".join(task.name for task in importable_tasks() if task.has_two_horizons)
+        found = ", ".join(f"{name} ({get_task(name).horizon} steps)" for name in names)
         raise UnknownNameError(
             "horizon 'published': expected a task that the published code runs for another number "
-            f"of steps ({expected}), found {', '.join(names)}; leave it out"
+            f"of steps, found tasks with one horizon only: {found}; leave it out"
         )

@@ -22,16 +22,14 @@ def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
     return replace(scene, blocks=sample_attributes(blocks, axes, rng))
 
 
-def score(scene: Scene, poses: Poses) -> float:
-    """1 if all blocks are in line, 0.5 if all but one are, else 0 (appendix A.2.4)."""
+def _score(scene: Scene, poses: Poses) -> float:
     missing = len(scene.blocks) - longest_line(positions(scene, poses))
     return {0: 1.0, 1: 0.5}.get(missing, 0.0)
 
 
-def published_score(scene: Scene, poses: Poses) -> float:
-    """As `score`, but two blocks of three score 0 (docs/specification.md, section 9)."""
+def _published_score(scene: Scene, poses: Poses) -> float:
     shortest = min(PUBLISHED_SHORTEST, len(scene.blocks))
-    return score(scene, poses) if longest_line(positions(scene, poses)) >= shortest else 0.0
+    return _score(scene, poses) if longest_line(positions(scene, poses)) >= shortest else 0.0
 
 
 TASK = Task(
@@ -55,8 +53,8 @@ two of three blocks in a line score 0.""",
     ),
     axes=EVERYTHING,
     randomise_fn=randomise,
-    score_fn=score,
-    published_score_fn=published_score,
+    score_fn=_score,
+    published_score_fn=_published_score,
     min_blocks=2,
     max_blocks=BLOCKS[1],
     max_regions=0,

@@ -51,8 +51,7 @@ def targets(scene: Scene) -> set[int]:
     return {i for i, b in enumerate(scene.blocks) if b.colour == scene.regions[0].colour}
 
 
-def score(scene: Scene, poses: Poses) -> float:
-    """Target bonus times one minus the distractor penalty, 0 to 1 (appendix A.2.3)."""
+def _score(scene: Scene, poses: Poses) -> float:
     wanted, inside = targets(scene), blocks_inside(scene.regions[0], scene, poses)
     if not inside:
         return 0.0
@@ -94,7 +93,7 @@ and R the blocks that end inside the region, the score is
     ),
     axes=EVERYTHING,
     randomise_fn=randomise,
-    score_fn=score,
+    score_fn=_score,
     instruction_fn=_instruction,
     max_blocks=TARGETS[1] + DISTRACTORS[1] * (len(COLOURS) - 1),
     min_regions=1,

@@ -25,8 +25,7 @@ def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
     return replace(scene, blocks=sample_attributes(scene.blocks, axes, rng))
 
 
-def score(scene: Scene, poses: Poses) -> float:
-    """1 near the corner, 0 far from it, linear between (appendix A.2.1)."""
+def _score(scene: Scene, poses: Poses) -> float:
     left = NO_SCORE - math.dist(positions(scene, poses)[0], GOAL)
     return min(max(left / (NO_SCORE - FULL_SCORE), 0.0), 1.0)
 
@@ -45,7 +44,7 @@ of the workspace, 0 beyond sqrt(2) units, and linear in the distance between."""
     ),
     axes=Axis.JITTER | Axis.COLOUR | Axis.SHAPE | Axis.DYNAMICS,
     randomise_fn=randomise,
-    score_fn=score,
+    score_fn=_score,
     instruction_fn=lambda scene: f"Push {name_blocks(scene.blocks)} to the top left corner.",
     min_blocks=1,
     max_blocks=1,

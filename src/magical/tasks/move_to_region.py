@@ -17,8 +17,7 @@ def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
     return replace(scene, regions=(replace(scene.regions[0], colour=sample_item(COLOURS, rng)),))
 
 
-def score(scene: Scene, poses: Poses) -> float:
-    """1 if the robot's centre is inside the region, else 0 (appendix A.2.2)."""
+def _score(scene: Scene, poses: Poses) -> float:
     return float(scene.regions[0].contains(*poses.robot[:2]))
 
 
@@ -34,7 +33,7 @@ TASK = Task(
     ),
     axes=Axis.JITTER | Axis.LAYOUT | Axis.COLOUR | Axis.DYNAMICS,
     randomise_fn=randomise,
-    score_fn=score,
+    score_fn=_score,
     instruction_fn=lambda scene: f"Drive into the {scene.regions[0].colour} region.",
     max_blocks=0,
     min_regions=1,

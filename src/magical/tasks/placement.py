@@ -61,14 +61,10 @@ class Placement:
 def sample_placement(
     scene: Scene, axes: Axis, rng: np.random.Generator, placement: Placement
 ) -> Scene:
-    """Sample poses and region sizes.
+    """Sample poses and region sizes from a scene with those of Demo.
 
-    Args:
-        scene: the scene with the poses and region sizes of Demo.
-        axes: with LAYOUT, poses are anywhere; with JITTER, near those of `scene`; with neither,
-            the scene is returned unchanged, and nothing is sampled.
-        rng: the random generator.
-        placement: the task's own rules.
+    With LAYOUT, poses are anywhere; with JITTER, near those of `scene`; with neither, the scene is
+    returned unchanged, and nothing is sampled.
 
     Raises:
         PlacementError: each of `MAX_RESTARTS` attempts found no room for some body.

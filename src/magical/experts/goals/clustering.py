@@ -12,15 +12,8 @@ from functools import cached_property
 
 import numpy as np
 
-from magical.experts.geometry import (
-    BLOCK_SPACING,
-    DRIVING_CLEARANCE,
-    WORKING_DISTANCE,
-    Bools,
-    Floats,
-    Ints,
-    project_on_segments,
-)
+from magical.experts import geometry as g
+from magical.experts.geometry import Bools, Floats, Ints
 from magical.experts.goals.regions import DISTANCE_COST, MOVE_COST, place_costs
 from magical.experts.grasp import Grasps, make_mutual_grasps
 from magical.experts.planning import Move, MovePlan, Planner, Strategy
@@ -57,7 +50,7 @@ SWITCH_COST = 25.0  # by which a new anchor must be better; tuned
 
 _GRID = np.array([(x, y) for x in GRID for y in GRID])  # (anchors, 2)
 _ANGLES = 2 * math.pi * np.arange(RING_PLACES) / RING_PLACES
-_RING = BLOCK_SPACING * np.stack((np.cos(_ANGLES), np.sin(_ANGLES)), axis=-1)  # (ring places, 2)
+_RING = g.BLOCK_SPACING * np.stack((np.cos(_ANGLES), np.sin(_ANGLES)), axis=-1)  # (ring places, 2)
 
 
 ValueFn = Callable[[Block], str]
@@ -87,7 +80,7 @@ def _move(layout: "Layout", anchors: Floats, block: int, wait: float) -> Move:
     places = np.concatenate((anchor[None], anchor + _RING))  # (1 + ring places, 2)
     x, y = layout.positions[block]
     cost = place_costs(places, (x, y), others)
-    cost[1:] += DISTANCE_COST * BLOCK_SPACING
+    cost[1:] += DISTANCE_COST * g.BLOCK_SPACING
     x, y = places[cost.argmin()].tolist()
     return Move((x, y), TOLERANCE, block, wait)
 
@@ -240,7 +233,7 @@ class Layout:
         """Costs (C, n) of grasping the blocks that move, the most accessible first."""
         earlier = self.rank[:, None] > self.rank
         apart = lengths(self.positions[:, None] - self.positions)
-        least = np.maximum(apart + 0.1, WORKING_DISTANCE)
+        least = np.maximum(apart + 0.1, g.WORKING_DISTANCE)
         gone = moved[..., None, :] & earlier & (near.swapaxes(-1, -2) > least)
         return np.minimum(ACCESS_FACTOR * self.grasp_costs_among(~gone), MAX_ACCESS)
 
@@ -257,9 +250,9 @@ class Layout:
         # Blocks that are to leave may not have left yet.
         missing += LEAVING_SHARE * np.maximum(0.0, SEPARATION - near)
         before, group = self.positions, self.group
-        share, gap = project_on_segments(before[:, None], after[..., :, None, :], before)
+        share, gap = g.project_on_segments(before[:, None], after[..., :, None, :], before)
         # A block does not obstruct itself, nor one that moves off from next to it.
-        narrow = np.where(share > 0.0, np.maximum(0.0, DRIVING_CLEARANCE - gap), 0.0)
+        narrow = np.where(share > 0.0, np.maximum(0.0, g.DRIVING_CLEARANCE - gap), 0.0)
         crowding = CROWDING_COST * missing * (group[:, None] != group) + BLOCKED_COST * narrow
         total: Floats = crowding.sum(axis=-1)
         return total

@@ -8,13 +8,8 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
-from magical.experts.geometry import (
-    BLOCK_SPACING,
-    DRIVE_STEP,
-    Floats,
-    excess,
-    project_on_segments,
-)
+from magical.experts import geometry as g
+from magical.experts.geometry import Floats
 from magical.experts.planning import Move, MovePlan, Strategy
 from magical.experts.state_view import StateView
 from magical.scene import Colour, Region
@@ -26,7 +21,7 @@ from magical.tasks.match_regions import targets
 from magical.tasks.move_to_corner import GOAL
 
 MOVE_COST = 40.0  # control steps in addition to the way, for driving up and grasping; swept
-DISTANCE_COST = 1.0 / DRIVE_STEP  # control steps per unit of way
+DISTANCE_COST = 1.0 / g.DRIVE_STEP  # control steps per unit of way
 ROOM_COST = 150.0  # control steps per unit of missing room at the goal; tuned
 WALL_LIMIT = 0.85  # units: largest coordinate of a goal that costs nothing; tuned
 WALL_COST = 20.0  # control steps beyond it, where fingers do not open freely; tuned
@@ -153,8 +148,8 @@ def place_on_grid(
     """An allowed place in the workspace that is near, preferred, and clear of other blocks."""
     start, others = view.blocks[block], np.reshape(view.other_blocks(block), (-1, 2))
     places = np.array(list(filter(is_allowed, _grid(_TICKS, _TICKS).tolist())) or [start])  # (P, 2)
-    _, gaps = project_on_segments(np.array(start), places[:, None], others)  # (P, M)
-    way = WAY_COST * np.maximum(0.0, BLOCK_SPACING - gaps).sum(axis=1)
+    _, gaps = g.project_on_segments(np.array(start), places[:, None], others)  # (P, M)
+    way = WAY_COST * np.maximum(0.0, g.BLOCK_SPACING - gaps).sum(axis=1)
     return _best_place(view, strategy, block, places, _OUTER, OUTSIDE_PREFERENCE, way)
 
 
@@ -178,8 +173,8 @@ def _best_place(
 def place_costs(places: Floats, block: Point, others: Floats) -> Floats:
     """Control steps (P,) to bring a block to `places` (P, 2) among `others` (M, 2)."""
     room = lengths(places[:, None] - others)  # (P, M)
-    missing = np.maximum(0.0, BLOCK_SPACING - room).sum(axis=1)
-    is_at_wall = excess(places, WALL_LIMIT).any(axis=1)
+    missing = np.maximum(0.0, g.BLOCK_SPACING - room).sum(axis=1)
+    is_at_wall = g.excess(places, WALL_LIMIT).any(axis=1)
     costs: Floats = DISTANCE_COST * lengths(places - block) + ROOM_COST * missing
     return costs + WALL_COST * is_at_wall
 
