@@ -8,8 +8,7 @@ from typing import Literal
 import numpy as np
 
 from magical.scene import COLOURS, SHAPES, Block, Colour, Pose, Poses, Scene, Shape
-from magical.tasks.attributes import cycle_blocks, sample_count, sample_covering
-from magical.tasks.axes import EVERYTHING, Axis
+from magical.tasks.axes import EVERYTHING, Axis, cycle_blocks, sample_count, sample_covering
 from magical.tasks.scoring import Distances, centroid_distances, positions
 from magical.tasks.task import Task
 
@@ -76,7 +75,6 @@ distances, and its score rises from 0.75.""",
         score_fn=partial(_score, attribute=attribute),
         published_score_fn=partial(_published_score, attribute=attribute),
         max_blocks=BLOCKS[1],
-        max_regions=0,
         validate_fn=partial(_validate, attribute=attribute),
     )
 

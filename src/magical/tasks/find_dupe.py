@@ -8,8 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from magical.scene import Block, Colour, Pose, Poses, Region, Scene, Shape
-from magical.tasks.attributes import cycle_blocks, sample_attributes, sample_count
-from magical.tasks.axes import EVERYTHING, Axis
+from magical.tasks.axes import EVERYTHING, Axis, cycle_blocks, sample_attributes, sample_count
 from magical.tasks.placement import Placement, problem_of_enclosed
 from magical.tasks.scoring import blocks_inside
 from magical.tasks.task import Task

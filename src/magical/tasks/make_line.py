@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from magical.scene import Block, Colour, Pose, Poses, Scene, Shape
-from magical.tasks.attributes import cycle_blocks, sample_attributes, sample_count
-from magical.tasks.axes import EVERYTHING, Axis
+from magical.tasks.axes import EVERYTHING, Axis, cycle_blocks, sample_attributes, sample_count
 from magical.tasks.scoring import longest_line, positions
 from magical.tasks.task import Task
 
@@ -57,5 +56,4 @@ two of three blocks in a line score 0.""",
     published_score_fn=_published_score,
     min_blocks=2,
     max_blocks=BLOCKS[1],
-    max_regions=0,
 )

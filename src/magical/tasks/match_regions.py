@@ -6,14 +6,15 @@ from dataclasses import replace
 import numpy as np
 
 from magical.scene import COLOURS, Block, Colour, Pose, Poses, Region, Scene, Shape
-from magical.tasks.attributes import (
+from magical.tasks.axes import (
+    EVERYTHING,
+    Axis,
     cycle_blocks,
     name_blocks,
     sample_attributes,
     sample_count,
     sample_item,
 )
-from magical.tasks.axes import EVERYTHING, Axis
 from magical.tasks.scoring import blocks_inside
 from magical.tasks.task import Task
 

@@ -10,8 +10,7 @@ import numpy as np
 
 from magical.scene import Block, Colour, Pose, Poses, Scene, Shape
 from magical.scene.constants import WORKSPACE_HALF
-from magical.tasks.attributes import name_blocks, sample_attributes
-from magical.tasks.axes import Axis
+from magical.tasks.axes import Axis, name_blocks, sample_attributes
 from magical.tasks.scoring import positions
 from magical.tasks.task import Task
 
@@ -48,5 +47,4 @@ of the workspace, 0 beyond sqrt(2) units, and linear in the distance between."""
     instruction_fn=lambda scene: f"Push {name_blocks(scene.blocks)} to the top left corner.",
     min_blocks=1,
     max_blocks=1,
-    max_regions=0,
 )

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from magical.scene import COLOURS, Colour, Pose, Poses, Region, Scene
-from magical.tasks.attributes import sample_item
-from magical.tasks.axes import Axis
+from magical.tasks.axes import Axis, sample_item
 from magical.tasks.task import Task
 
 
@@ -35,7 +34,6 @@ TASK = Task(
     randomise_fn=randomise,
     score_fn=_score,
     instruction_fn=lambda scene: f"Drive into the {scene.regions[0].colour} region.",
-    max_blocks=0,
     min_regions=1,
     max_regions=1,
 )

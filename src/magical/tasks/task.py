@@ -12,7 +12,6 @@ from magical.scene import Dynamics, Poses, Scene
 from magical.tasks.axes import TEST_ALL, VARIANTS, Axis
 from magical.tasks.placement import Placement, sample_placement, validate_scene
 
-ScoreFn = Callable[[Scene, Poses], float]
 MAX_SCENES = 1000  # sampled at most for one episode; the paper's tasks need only one
 
 Horizon = int | Literal["published"] | None  # steps, the published code's, the appendix's
@@ -38,13 +37,14 @@ class Task:
     # Samples counts, colours and shapes, but not poses, along the given axes.
     randomise_fn: Callable[[Scene, Axis, np.random.Generator], Scene]
     placement: Placement = field(default_factory=Placement)  # how regions and blocks are placed
-    score_fn: ScoreFn  # the appendix's score of a final state, 0 to 1
-    published_score_fn: ScoreFn | None = None  # the published code's, if different (section 9)
+    score_fn: Callable[[Scene, Poses], float]  # the appendix's score of a final state, 0 to 1
+    # The published code's score, if it is different (docs/specification.md, section 9).
+    published_score_fn: Callable[[Scene, Poses], float] | None = None
     instruction_fn: Callable[[Scene], str] | None = None  # in English; by default the summary
     min_blocks: int = 0  # over all variants, as the following
-    max_blocks: int
+    max_blocks: int = 0
     min_regions: int = 0
-    max_regions: int
+    max_regions: int = 0
     validate_fn: Callable[[Scene], str] = lambda scene: ""  # why a scene does not fit, or ""
 
     def __post_init__(self) -> None:
