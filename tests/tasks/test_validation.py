@@ -63,11 +63,8 @@ def test_blocks_at_one_pose_overlap(shape: Shape) -> None:
             validate_scene(replace(EMPTY, blocks=(block, block)))
 
 
-DEMO = {
-    name: get_task(name).demo
-    for name in ("MatchRegions", "FindDupe", "FixColour", "ClusterColour", "ClusterShape")
-}
-FIND, FIX = DEMO["FindDupe"].blocks, DEMO["FixColour"]
+FIND, FIX = get_task("FindDupe").demo.blocks, get_task("FixColour").demo
+AROUND = replace(FIX.regions[1], y=0.1, height=1.0)  # the first block, too
 MISFITS: list[tuple[str, dict[str, Any], str]] = [
     ("MoveToCorner", {"blocks": ()}, "at least 1 blocks, found 0"),
     ("MoveToRegion", {"regions": ()}, "at least 1 regions"),
@@ -82,11 +79,11 @@ MISFITS: list[tuple[str, dict[str, Any], str]] = [
     ("FindDupe", {"blocks": (*FIND[:-2], FIND[-1])}, "expected a duplicate"),
     (
         *("FindDupe", {"blocks": (*FIND[:-1], replace(FIND[-1], pose=Pose(0.2, 0.0, 0.0)))}),
-        r"block 6 alone inside region 0, found blocks \[\]",
+        r"block 6 alone inside its region, found blocks \[\]",
     ),
     (
         *("FindDupe", {"blocks": (replace(FIND[0], pose=Pose(-0.57, -0.72, 0.0)), *FIND[1:])}),
-        r"block 6 alone inside region 0, found blocks \[0, 6\]",
+        r"block 6 alone inside its region, found blocks \[0, 6\]",
     ),
     ("FixColour", {"regions": FIX.regions[:2]}, "a region for every block"),
     (
@@ -94,8 +91,8 @@ MISFITS: list[tuple[str, dict[str, Any], str]] = [
         "exactly 1 block of another colour",
     ),
     (
-        *("FixColour", {"regions": (FIX.regions[0], replace(FIX.regions[1], y=0.1, height=1.0))}),
-        "a region for every block",
+        *("FixColour", {"regions": (FIX.regions[0], AROUND, FIX.regions[2])}),
+        r"block 1 alone inside its region, found blocks \[0, 1\]",
     ),
 ]
 

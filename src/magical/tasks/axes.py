@@ -41,8 +41,7 @@ EVERYTHING = ~Axis(0)
 DEMO = "Demo"
 TEST_ALL = "TestAll"
 
-# By the names used in environment ids. `TestAll` has the axes for a task that supports all of them;
-# see `Task.axes_of` for other tasks.
+# By the names used in environment ids. `Task.axes_of` has a task's own axes of TestAll.
 VARIANTS: Mapping[str, Axis] = {
     DEMO: Axis(0),
     "TestJitter": Axis.JITTER,

@@ -9,7 +9,7 @@ import numpy as np
 
 from magical.scene import Block, Colour, Pose, Poses, Region, Scene, Shape
 from magical.tasks.axes import EVERYTHING, Axis, cycle_blocks, sample_attributes, sample_count
-from magical.tasks.placement import Placement, problem_of_enclosed
+from magical.tasks.placement import Placement
 from magical.tasks.scoring import blocks_inside
 from magical.tasks.task import Task
 
@@ -57,9 +57,9 @@ def _instruction(scene: Scene) -> str:
 
 
 def _validate(scene: Scene) -> str:
-    if len(alike(scene)) < 2:
-        return "expected a duplicate of the last block (the query), found none; add one"
-    return problem_of_enclosed(scene)
+    if len(alike(scene)) > 1:
+        return ""
+    return "expected a duplicate of the last block (the query), found none; add one"
 
 
 TASK = Task(

@@ -57,6 +57,15 @@ class Placement:
         """Largest offset of an enclosed block's centre from its region's, in each coordinate."""
         return min(region.height, region.width) / 2 - self.margin
 
+    def problem(self, scene: Scene) -> str:
+        """Why enclosed blocks are not alone inside their regions, or an empty string."""
+        outside = len(scene.blocks) - len(scene.regions)
+        for i, region in enumerate(scene.regions if self.encloses else (), start=outside):
+            inside = [k for k, block in enumerate(scene.blocks) if region.contains(*block.pose[:2])]
+            if inside != [i]:
+                return f"expected block {i} alone inside its region, found blocks {inside}"
+        return ""
+
 
 def sample_placement(
     scene: Scene, axes: Axis, rng: np.random.Generator, placement: Placement
@@ -64,10 +73,8 @@ def sample_placement(
     """Sample poses and region sizes from a scene with those of Demo.
 
     With LAYOUT, poses are anywhere; with JITTER, near those of `scene`; with neither, the scene is
-    returned unchanged, and nothing is sampled.
-
-    Raises:
-        PlacementError: each of `MAX_RESTARTS` attempts found no room for some body.
+    returned unchanged, and nothing is sampled. Raises `PlacementError` if none of `MAX_RESTARTS`
+    attempts finds room for all bodies.
     """
     if not axes & (Axis.JITTER | Axis.LAYOUT):
         return scene
@@ -141,27 +148,11 @@ def _bodies(scene: Scene) -> Iterator[tuple[str, "Kind", Pose]]:
         yield f"block {i} ({block.colour} {block.shape})", block.shape, block.pose
 
 
-def problem_of_enclosed(scene: Scene) -> str:
-    """Why the last blocks are not alone inside the regions, one each; or an empty string."""
-    outside = len(scene.blocks) - len(scene.regions)
-    for i, region in enumerate(scene.regions):
-        inside = [k for k, block in enumerate(scene.blocks) if region.contains(*block.pose[:2])]
-        if inside != [outside + i]:
-            return (
-                f"expected block {outside + i} alone inside region {i}, found blocks {inside}; "
-                "move them"
-            )
-    return ""
-
-
 def validate_scene(scene: Scene) -> None:
-    """Check that no bodies overlap and that everything is within the workspace.
+    """Raise `InvalidSceneError` if bodies overlap or reach out of the workspace.
 
     Bodies may overlap by `OVERLAP_SLACK` and reach into walls by `WALL_SLACK`. Blocks and robot may
     be in regions, which have no physical effect.
-
-    Raises:
-        InvalidSceneError: the message names the bodies and the depth of the overlap, in units.
     """
     from magical.physics.overlap import Solid, Solids  # imports pymunk
 

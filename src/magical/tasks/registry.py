@@ -87,14 +87,12 @@ def suites() -> dict[str, tuple[str, ...]]:
 def register_task(task: Task) -> Task:
     """Add a task to `TASKS` and return it.
 
-    Raises:
-        InvalidTaskError: another task already has this name.
-        InvalidSceneError: bodies of its Demo scene overlap, or reach out of the workspace.
+    Raises `InvalidTaskError` for a name that another task has, and `InvalidSceneError` for a Demo
+    scene that cannot be simulated.
     """
     if family_of(GROUP, task.name) or _tasks.get(task.name, task) is not task:
         raise InvalidTaskError(
-            f"expected a new task name, found {task.name!r}, which is registered already; "
-            "choose another"
+            f"expected a new task name, found {task.name!r}, which is registered already"
         )
     task.validate(task.demo)
     _tasks[task.name] = task
@@ -143,9 +141,9 @@ def load_task(name: str) -> Task:
 
 def possible_variants(name: str) -> tuple[str, ...]:
     """The variants that a task has, or may have if it is not imported yet."""
-    if name not in TASKS:
-        get_task(name)  # raises
-    return _tasks[name].variants if name in _tasks else tuple(VARIANTS)
+    if name in _tasks or name not in TASKS:
+        return get_task(name).variants
+    return tuple(VARIANTS)
 
 
 def import_tasks(name: str) -> None:
@@ -158,7 +156,7 @@ def import_tasks(name: str) -> None:
 
 
 def load_tasks(modules: Iterable[str]) -> None:
-    """Import a user's modules, and register the tasks that they hold; raises `PluginError`."""
+    """As `import_tasks`, for several modules."""
     for name in modules:
         import_tasks(name)
 

@@ -20,11 +20,8 @@ Distances = NDArray[np.float64]  # (..., number of blocks) squared units
 
 def positions(scene: Scene, poses: Poses) -> list[Point]:
     """The blocks' centres in units; raises `InvalidSceneError` for poses of another scene."""
-    expected, found = len(scene.blocks), len(poses.blocks)
-    if found != expected:
-        raise InvalidSceneError(
-            f"score: expected poses of the scene's {expected} blocks, found {found}"
-        )
+    if len(poses.blocks) != (count := len(scene.blocks)):
+        raise InvalidSceneError(f"expected the scene's {count} blocks, found {len(poses.blocks)}")
     return [(x, y) for x, y, _ in poses.blocks.tolist()]
 
 

@@ -75,13 +75,10 @@ class Task:
         )
 
     def axes_of(self, variant: str) -> Axis:
-        """The axes along which a variant differs from Demo.
+        """The axes along which a variant differs from Demo; `UnknownNameError` if it is lacking.
 
         TestAll changes everything that the task supports, and jitters poses only if they cannot be
         sampled freely (docs/specification.md, section 8).
-
-        Raises:
-            UnknownNameError: the task lacks the variant; the message lists those it has.
         """
         if variant not in self.variants:
             close = () if variant in VARIANTS else get_close_matches(str(variant), self.variants)
@@ -131,14 +128,10 @@ class Task:
                 return f"expected at least {least} {what}, found {found}; add some"
             if found > most:
                 return f"expected at most {most} {what}, found {found}; remove some"
-        return self.validate_fn(scene)
+        return self.validate_fn(scene) or self.placement.problem(scene)
 
     def validate(self, scene: Scene) -> None:
-        """Check that an episode of this task can start from a scene.
-
-        Raises:
-            InvalidSceneError: it cannot; the message says why and what to change.
-        """
+        """Raise `InvalidSceneError`, with the reason, unless an episode can start from it."""
         if problem := self.problem(scene):
             raise InvalidSceneError(f"{self.name}: {problem}")
         validate_scene(scene)
