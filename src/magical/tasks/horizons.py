@@ -18,10 +18,7 @@ MAX_HORIZON = int(np.iinfo(np.int64).max)
 
 
 def parse_horizon(value: Any) -> Horizon:
-    """Parse "appendix", "published" or a number of steps into what `Task.resolve_horizon` takes.
-
-    Raises `InvalidConfigError` for anything else.
-    """
+    """From "appendix", "published" or a number of steps; `InvalidConfigError` for anything else."""
     if value is None or (isinstance(value, str) and value in (APPENDIX, PUBLISHED)):
         return PUBLISHED if value == PUBLISHED else None
     with suppress(TypeError, ValueError):

@@ -162,10 +162,9 @@ def load_tasks(modules: Iterable[str]) -> None:
 
 
 def defining_modules(tasks: Iterable[Task]) -> list[str]:
-    """The modules that a new process must import to have tasks from outside the package.
+    """The modules that a new process must import to have tasks, but for those of entry points.
 
-    The process finds tasks of entry points on its own. Raises `InvalidTaskError` for any other task
-    that no importable module holds.
+    Raises `InvalidTaskError` for a task that no importable module holds.
     """
     others = [task for task in tasks if task.name not in _own and not is_offered(GROUP, task.name)]
     return sorted(set(map(_defining_module, others)))
@@ -179,9 +178,8 @@ def _defining_module(task: Task) -> str:
     if task.name in _imported_from:
         return _imported_from[task.name]
     raise InvalidTaskError(
-        f"task {task.name}: other processes import tasks by themselves, and no importable module "
-        "holds this one (the main script is never imported); give it a name in a module, or use "
-        "workers=1"
+        f"task {task.name}: other processes never import the main script, and no importable module "
+        "holds this task; give it a name in a module, or use workers=1"
     )
 
 

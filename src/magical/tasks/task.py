@@ -21,9 +21,8 @@ Horizon = int | Literal["published"] | None  # steps, the published code's, the 
 class Task:
     """One task of the benchmark.
 
-    Raises:
-        InvalidTaskError: fields that contradict each other.
-        InvalidSceneError: a Demo scene that does not fit the task; registering it finds overlaps.
+    Raises `InvalidTaskError` for an impossible name or horizon, and `InvalidSceneError` for a Demo
+    scene that does not fit the task; registering it finds overlaps.
     """
 
     name: str  # as in environment ids, for instance MoveToCorner
@@ -34,12 +33,10 @@ class Task:
     published_horizon: int | None = None  # the published code's, if different
     demo: Scene  # the Demo variant's scene (docs/specification.md, section 8)
     axes: Axis  # the axes that its variants may change (appendix, Table 2)
-    # Samples counts, colours and shapes, but not poses, along the given axes.
-    randomise_fn: Callable[[Scene, Axis, np.random.Generator], Scene]
+    randomise_fn: Callable[[Scene, Axis, np.random.Generator], Scene]  # samples all but poses
     placement: Placement = field(default_factory=Placement)  # how regions and blocks are placed
     score_fn: Callable[[Scene, Poses], float]  # the appendix's score of a final state, 0 to 1
-    # The published code's score, if it is different (docs/specification.md, section 9).
-    published_score_fn: Callable[[Scene, Poses], float] | None = None
+    published_score_fn: Callable[[Scene, Poses], float] | None = None  # the published code's
     instruction_fn: Callable[[Scene], str] | None = None  # in English; by default the summary
     min_blocks: int = 0  # over all variants, as the following
     max_blocks: int = 0
@@ -94,9 +91,7 @@ class Task:
     def sample(self, variant: str, rng: np.random.Generator) -> tuple[Scene, Dynamics]:
         """Sample an episode's initial scene and dynamics.
 
-        Raises:
-            UnknownNameError: the task lacks the variant; the message lists those it has.
-            PlacementError: no room was found for a body, or no sampled scene fits the task.
+        Raises `UnknownNameError` if the task lacks the variant, `PlacementError` if no scene fits.
         """
         axes = self.axes_of(variant)
         for _ in range(MAX_SCENES):
