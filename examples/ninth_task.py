@@ -15,7 +15,7 @@ import magical
 from magical.evaluation import environments, evaluate, load_policy, summarise
 from magical.scene import Block, Colour, Pose, Poses, Scene, Shape
 from magical.tasks import Axis, Task
-from magical.tasks.attributes import name_blocks, sample_attributes
+from magical.tasks.axes import name_blocks, sample_attributes
 from magical.tasks.scoring import positions
 
 APART = 1.0  # units

@@ -4,9 +4,15 @@ import numpy as np
 import pytest
 from gymnasium.utils.seeding import np_random
 
-from magical.experts import Memory, Move, expert_for, rollout, strategy_seed
-from magical.experts.memory import note_other_action
-from magical.experts.noise import MAX_PERTURBED_STEPS, perturbation
+from magical.experts import (
+    Memory,
+    Move,
+    expert_for,
+    note_other_action,
+    rollout,
+    strategy_seed,
+)
+from magical.experts.noise import MAX_PERTURBED_STEPS, RandomActions
 from magical.physics import Simulation
 from magical.scene import NOOP, NUM_ACTIONS
 from magical.scene.actions import POINTS, Action, Gripper
@@ -17,7 +23,7 @@ OTHER = NUM_ACTIONS  # no action: tells the expert's from random ones
 
 
 def executed(share: float, steps: int = 20_000) -> list[int]:
-    actions = perturbation(share, np.random.default_rng(0))
+    actions = RandomActions(share, np.random.default_rng(0))
     return [actions.execute(OTHER) for _ in range(steps)]
 
 

@@ -1,14 +1,16 @@
-"""Final states for the scoring rules."""
+"""Final states, and sampled scenes that several tests look at."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
+from functools import cache
 
-import pytest
+import numpy as np
 
-from magical.scene import Pose, Poses, Scene
+from magical.scene import Dynamics, Pose, Poses, Scene
+from magical.tasks import get_task
 
 Point = tuple[float, float]
-Move = Callable[..., Poses]
+SCENES = 40  # of each environment
 
 
 def move(
@@ -28,7 +30,13 @@ def move(
     )
 
 
-@pytest.fixture(scope="session")
-def moved() -> Move:
-    """`move`."""
-    return move
+@cache
+def sampled(task: str, variant: str) -> list[tuple[Scene, Dynamics]]:
+    """Scenes and dynamics of an environment, sampled once for all tests."""
+    rng = np.random.default_rng(1)
+    return [get_task(task).sample(variant, rng) for _ in range(SCENES)]
+
+
+def scenes_of(task: str, variant: str) -> list[Scene]:
+    """The scenes of `sampled`."""
+    return [scene for scene, _ in sampled(task, variant)]

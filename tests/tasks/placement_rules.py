@@ -10,11 +10,10 @@ from magical.errors import InvalidSceneError
 from magical.physics.overlap import Solids
 from magical.scene import Pose, Scene
 from magical.tasks import Axis, Task
-from magical.tasks import validation as v
-from magical.tasks.placement import ANGLE_JITTER, POSITION_JITTER, SIZE_JITTER
+from magical.tasks.placement import ANGLE_JITTER, POSITION_JITTER, ROUNDING, SIZE_JITTER
 
 
-def check_placement(task: Task, variant: str, scene: Scene, slack: float = v.ROUNDING) -> None:
+def check_placement(task: Task, variant: str, scene: Scene, slack: float = ROUNDING) -> None:
     """Raise `InvalidSceneError` for a scene that the task's variant may not start from.
 
     `slack` is in units and radians, for rounded coordinates as in recordings.

@@ -13,8 +13,7 @@ from magical.demos import Dataset, DatasetWriter
 from magical.envs import EnvId
 from magical.envs.vector import MagicalVectorEnv
 from magical.errors import DatasetError
-from magical.experts import Memory, expert_for, strategy_seed
-from magical.experts.memory import note_other_action
+from magical.experts import Memory, expert_for, note_other_action, strategy_seed
 from magical.physics import Simulation
 from magical.runs import read_metrics
 from magical.scene import Poses, State

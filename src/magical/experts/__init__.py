@@ -8,13 +8,13 @@ blocks and places, so that demonstrators differ.
 
 One decision, in `expert`:
     1. If the robot has not moved or progressed for too long, it gives up the move and drives away
-       for a few steps (`steering.escape`).
+       for a few steps (`grasp.escape`).
     2. If there is no move, the move is done, or the task is solved, it plans again (`goals`) and
        chooses a move by the steps that grasping (`grasp`) and carrying take, blocks in the way, and
        earlier failures. With nothing left to do, it backs off all blocks and closes the fingers.
     3. If the block is between the fingers, it closes them and carries the block (`carry`): it takes
        the first action of the best of all short motions under a motion model.
-    4. Otherwise it approaches (`steering.approach`): it drives to the gate behind the best side,
+    4. Otherwise it approaches (`grasp.approach`): it drives to the gate behind the best side,
        around other blocks (`paths`), then straight ahead.
 If an action other than its own is executed (perturbed demonstrations, DAgger), the expert takes
 over from the next state.
@@ -33,11 +33,17 @@ environments; "tuned" was set by hand on expert scores, mostly on the Cluster ta
 (docs/protocol.md). The study `experts` has measured the effect of each, except those of `noise`.
 """
 
-from magical.experts.expert import Expert, expert_for, strategy_seed
+from magical.experts.expert import (
+    EpisodeExpert,
+    Expert,
+    Memory,
+    expert_for,
+    note_other_action,
+    strategy_seed,
+)
 from magical.experts.goals import get_planner, has_expert, register_planner
-from magical.experts.memory import Memory, note_other_action
 from magical.experts.planning import Move, MovePlan, Planner, Strategy
-from magical.experts.rollout import EpisodeExpert, ExpertEpisode, modules_of, rollout
+from magical.experts.rollout import ExpertEpisode, modules_of, rollout
 from magical.experts.state_view import StateView
 
 __all__ = [

@@ -14,19 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from magical.experts.geometry import (
-    BACK_STEP,
-    BLOCK_SPACING,
-    CONTACT_DISTANCE,
-    DRIVE_STEP,
-    HELD_DISTANCE,
-    ROBOT_LIMIT,
-    TURN_STEP,
-    Floats,
-    Ints,
-    excess,
-    wrap_angle,
-)
+from magical.experts import geometry as g
+from magical.experts.geometry import Floats, Ints
 from magical.experts.paths import next_waypoint
 from magical.experts.state_view import StateView
 from magical.scene import NUM_ACTIONS
@@ -36,7 +25,7 @@ from magical.scene.geometry import Point, lengths
 
 GRIP_STEPS = 2  # control steps of closing before a block is carried; measured
 GRIPPED_OPENING = 0.33  # rad: smaller openings already hold a block; measured
-GRIP_ADVANCE = 0.015  # units beyond HELD_DISTANCE from which the robot still drives up; tuned
+GRIP_ADVANCE = 0.015  # units beyond g.HELD_DISTANCE from which the robot still drives up; tuned
 
 WAYPOINT_CLEARANCE = 0.31  # units from the block to obstacles on its path; tuned
 WAYPOINT_TOLERANCE = 0.1  # units: how exactly waypoints are met; tuned
@@ -96,17 +85,11 @@ def carry(
 ) -> int:
     """The action that closes the fingers on the block between them, and then moves it to its goal.
 
-    Args:
-        view: the current state.
-        block: the block's centre.
-        goal: where it should go.
-        tolerance: units from the goal that are near enough.
-        others: the other blocks' centres.
-        held_steps: control steps for which the block has been between the fingers.
+    The block has been between the fingers for `held_steps` control steps.
     """
     local = view.to_robot_frame(block)
     if held_steps < GRIP_STEPS and view.finger_opening > GRIPPED_OPENING:
-        is_ahead = local[1] > HELD_DISTANCE + GRIP_ADVANCE
+        is_ahead = local[1] > g.HELD_DISTANCE + GRIP_ADVANCE
         drive = Longitudinal.FORWARD if is_ahead else Longitudinal.STOP
         return Action(drive, Turn.STRAIGHT, Gripper.CLOSED).id
     point = next_waypoint(block, goal, others, WAYPOINT_CLEARANCE, view.angle)
@@ -121,10 +104,10 @@ def _remaining_steps(table: MotionTable, block: Point, goal: Point, tolerance: f
     end = table.robot[:, -1] + block[0] * table.right + block[1] * table.ahead
     offset = np.array(goal) - end  # (N, 2)
     distance = np.hypot(offset[:, 0], offset[:, 1])
-    angle = np.abs(wrap_angle(np.arctan2(-offset[:, 0], offset[:, 1]) - table.turned))
-    turn = np.minimum(angle, PULL_TURN + math.pi - angle) / TURN_STEP
+    angle = np.abs(g.wrap_angle(np.arctan2(-offset[:, 0], offset[:, 1]) - table.turned))
+    turn = np.minimum(angle, PULL_TURN + math.pi - angle) / g.TURN_STEP
     missing = np.maximum(0.0, distance - GOAL_TOLERANCE * tolerance)
-    steps: Floats = REST_DETOUR * missing / DRIVE_STEP
+    steps: Floats = REST_DETOUR * missing / g.DRIVE_STEP
     steps += np.minimum(turn, TURN_LIMIT * missing) + CORRECTION_STEPS * (missing > 0)
     return steps
 
@@ -153,50 +136,34 @@ def _missing_room(
     rear = table.robot[motions, -1:] - REAR * table.ahead[motions, None]  # (P, 1, 2)
     rear = rear @ rotation + here
     robot = np.concatenate((robot, rear), axis=1)
-    missing: Floats = excess(robot, ROBOT_LIMIT).max(axis=(1, 2))
-    missing += REAR_WALL_FACTOR * excess(rear, ROBOT_LIMIT).max(axis=(1, 2))
-    at_walls = excess(block, BLOCK_LIMIT).sum(axis=2).mean(axis=1)
-    missing += BLOCK_WALL_FACTOR * at_walls
+    missing: Floats = g.excess(robot, g.ROBOT_LIMIT).max(axis=(1, 2))
+    missing += REAR_WALL_FACTOR * g.excess(rear, g.ROBOT_LIMIT).max(axis=(1, 2))
+    missing += BLOCK_WALL_FACTOR * g.excess(block, BLOCK_LIMIT).sum(axis=2).mean(axis=1)
     if others:
         points = np.array(others)
-        missing += _intrusion(robot, points, CONTACT_DISTANCE)
-        missing += _intrusion(block, points, BLOCK_SPACING)
+        missing += _intrusion(robot, points, g.CONTACT_DISTANCE)
+        missing += _intrusion(block, points, g.BLOCK_SPACING)
     return missing
 
 
 def _intrusion(paths: Floats, points: Floats, room: float) -> Floats:
     """Units (P,) by which paths (P, K, 2) get closer than `room` to points (M, 2), in total."""
-    offset = paths[:, :, None] - points
-    distance = lengths(offset)  # (P, K, M)
+    distance = lengths(paths[:, :, None] - points)  # (P, K, M)
     missing: Floats = np.maximum(0.0, room - distance.min(axis=1)).sum(axis=1)
     return missing
 
 
 def motion_table(speed: float, spin: float) -> MotionTable:
     """The motions from the initial speed (units / s) and spin (rad / s) nearest to those given."""
-    return _table(_nearest(SPEEDS, speed), _nearest(SPINS, spin))
-
-
-def _nearest(values: Sequence[float], per_second: float) -> int:
-    per_step = per_second / CONTROL_RATE
-    return min(range(len(values)), key=lambda i: abs(values[i] - per_step))
+    return _table(
+        min(SPEEDS, key=lambda each: abs(each - speed / CONTROL_RATE)),
+        min(SPINS, key=lambda each: abs(each - spin / CONTROL_RATE)),
+    )
 
 
 @cache
-def _table(speed: int, spin: int) -> MotionTable:
-    sequences = _action_sequences()
-    longest = max(map(len, sequences)) + 1  # one step more to come to rest
-    actions = np.array([ids + [0] * (longest - len(ids)) for ids in sequences])  # (N, T)
-    time = np.array([len(ids) for ids in sequences], dtype=np.float64)
-    centres, angles = _roll_out(actions, SPEEDS[speed], SPINS[spin])
-    ahead = _ahead(angles)  # (N, K, 2)
-    right = np.stack((ahead[..., 1], -ahead[..., 0]), axis=-1)
-    end = angles[:, -1], ahead[:, -1], right[:, -1]
-    return MotionTable(actions[:, 0], time, centres, centres + HELD_DISTANCE * ahead, *end)
-
-
-def _action_sequences() -> list[list[int]]:
-    return [
+def _table(speed: float, spin: float) -> MotionTable:
+    sequences = [
         [first] * n + [second] * m
         for first in range(OPEN_ACTIONS)
         for n in FIRST_STEPS
@@ -204,12 +171,20 @@ def _action_sequences() -> list[list[int]]:
         for m in SECOND_STEPS
         if (first != second) == (m > 0)
     ]
+    longest = max(map(len, sequences)) + 1  # one step more to come to rest
+    actions = np.array([ids + [0] * (longest - len(ids)) for ids in sequences])  # (N, T)
+    time = np.array([len(ids) for ids in sequences], dtype=np.float64)
+    centres, angles = _roll_out(actions, speed, spin)
+    ahead = _ahead(angles)  # (N, K, 2)
+    right = np.stack((ahead[..., 1], -ahead[..., 0]), axis=-1)
+    end = angles[:, -1], ahead[:, -1], right[:, -1]
+    return MotionTable(actions[:, 0], time, centres, centres + g.HELD_DISTANCE * ahead, *end)
 
 
 def _roll_out(actions: Ints, speed: float, spin: float) -> tuple[Floats, Floats]:
     """Centres (N, K, 2) and angles (N, K) on the paths of action sequences (N, T)."""
-    aims = np.array([0.0, DRIVE_STEP, -BACK_STEP])[actions % 3]
-    turn_aims = np.array([0.0, TURN_STEP, -TURN_STEP])[actions // 3 % 3]
+    aims = np.array([0.0, g.DRIVE_STEP, -g.BACK_STEP])[actions % 3]
+    turn_aims = np.array([0.0, g.TURN_STEP, -g.TURN_STEP])[actions // 3 % 3]
     spins, angle = np.full(len(actions), spin), np.zeros(len(actions))
     centre, velocity = np.zeros((len(actions), 2)), np.zeros((len(actions), 2))
     velocity[:, 1] = speed

@@ -18,7 +18,7 @@ from magical.scene.constants import (
     TURN_MAX_BIAS,
     WORKSPACE_HALF,
 )
-from magical.scene.geometry import Point, lengths, robot_polygons
+from magical.scene.geometry import Point, lengths
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
@@ -26,8 +26,6 @@ Bools = NDArray[np.bool_]
 Angle = TypeVar("Angle", float, Floats)
 
 ROBOT_LIMIT = WORKSPACE_HALF - ROBOT_RADIUS  # units: largest coordinate of the robot's centre
-# units: the same with the open fingers towards the wall, at any angle
-FACING_LIMIT = WORKSPACE_HALF - max(math.hypot(*v) for part in robot_polygons() for v in part)
 CONTACT_DISTANCE = ROBOT_RADIUS + BLOCK_SIZE  # units between the centres of robot and block
 DRIVING_CLEARANCE = CONTACT_DISTANCE + 0.02  # units to blocks driven past; margin tuned
 HELD_DISTANCE = CONTACT_DISTANCE + 0.015  # units to a held block; measured: 0.333 to 0.364

@@ -5,8 +5,6 @@ it reaches on its own (Laskey et al., "DART: noise injection for robust imitatio
 2017).
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from magical.errors import InvalidConfigError
@@ -21,33 +19,30 @@ def check_share(name: str, share: float) -> None:
         raise InvalidConfigError(f"{name}: expected a number from 0 to 1, found {share}")
 
 
-@dataclass(slots=True)
 class RandomActions:
-    """Random actions in place of given ones, each held for up to `MAX_PERTURBED_STEPS`."""
+    """Random actions in place of given ones, each held for up to `MAX_PERTURBED_STEPS`.
 
-    chance: float  # that one begins in a control step in which none is held
-    rng: np.random.Generator  # not used if the chance is 0
-    held: int = 0  # the one being held
-    steps_left: int = 0  # control steps for which it is still held
-
-    def execute(self, action: int) -> int:
-        """The action to execute: a random one, or `action` itself."""
-        if not self.steps_left and self.chance > 0.0 and self.rng.random() < self.chance:
-            self.held = int(self.rng.integers(NUM_ACTIONS))
-            self.steps_left = int(self.rng.integers(1, MAX_PERTURBED_STEPS + 1))
-        if not self.steps_left:
-            return action
-        self.steps_left -= 1
-        return self.held
-
-
-def perturbation(share: float, rng: np.random.Generator) -> RandomActions:
-    """Random actions in an average share, from 0 to 1, of the control steps.
+    Args:
+        share: the average share, from 0 to 1, of the control steps with a random action.
+        rng: not used if the share is 0.
 
     Raises:
         InvalidConfigError: the share is not between 0 and 1.
     """
-    check_share("perturb", share)
-    mean_steps = (1 + MAX_PERTURBED_STEPS) / 2
-    chance = share / (share + mean_steps * (1.0 - share))
-    return RandomActions(chance, rng)
+
+    def __init__(self, share: float, rng: np.random.Generator) -> None:
+        check_share("perturb", share)
+        mean_steps = (1 + MAX_PERTURBED_STEPS) / 2
+        self._chance = share / (share + mean_steps * (1.0 - share))  # to begin if none is held
+        self._rng = rng
+        self._held, self._steps_left = 0, 0
+
+    def execute(self, action: int) -> int:
+        """The action to execute: a random one, or `action` itself."""
+        if not self._steps_left and self._chance > 0.0 and self._rng.random() < self._chance:
+            self._held = int(self._rng.integers(NUM_ACTIONS))
+            self._steps_left = int(self._rng.integers(1, MAX_PERTURBED_STEPS + 1))
+        if not self._steps_left:
+            return action
+        self._steps_left -= 1
+        return self._held

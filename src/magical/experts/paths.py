@@ -11,27 +11,20 @@ from itertools import product
 
 import numpy as np
 
-from magical.experts.geometry import (
-    DRIVE_STEP,
-    ROBOT_LIMIT,
-    TURN_STEP,
-    Floats,
-    bearing,
-    segment_distance,
-    wrap_angle,
-)
+from magical.experts import geometry as g
+from magical.experts.geometry import Floats
 from magical.scene.geometry import Point, lengths
 
 SPACING = 0.1  # units between grid points: one control step of driving; tuned
 OBSTACLE_COST = 15.0  # extra cost, per unit travelled, at an obstacle's centre; swept
-TURN_COST = DRIVE_STEP / TURN_STEP  # units per radian of the first turn, which take the same time
+TURN_COST = g.DRIVE_STEP / g.TURN_STEP  # units that take as long as a radian of the first turn
 NEAR_START = 0.01  # units: an obstacle counts only if the path gets nearer by this; tuned
 NEAR_GOAL = 0.95  # share of an obstacle's distance to the goal that is kept; tuned
 SLACK = 0.02  # units less clearance when waypoints are skipped; tuned
 FIRST_WAYPOINT = 2  # cells: the least distance along the path to head for; tuned
 
-SIDE = round(2 * ROBOT_LIMIT / SPACING) + 1  # grid points per side
-_TICKS = np.linspace(-ROBOT_LIMIT, ROBOT_LIMIT, SIDE)
+SIDE = round(2 * g.ROBOT_LIMIT / SPACING) + 1  # grid points per side
+_TICKS = np.linspace(-g.ROBOT_LIMIT, g.ROBOT_LIMIT, SIDE)
 _GRID: Floats = np.stack(np.meshgrid(_TICKS, _TICKS), axis=-1).reshape(-1, 2)  # (SIDE * SIDE, 2)
 _POINTS: list[Point] = [(x, y) for x, y in _GRID.tolist()]
 
@@ -62,7 +55,7 @@ def is_clear(
     those too close to the goal (default: the end) only if it gets closer than the goal is.
     """
     for obstacle in obstacles:
-        distance = segment_distance(start, end, obstacle)
+        distance = g.segment_distance(start, end, obstacle)
         if distance >= clearance or distance >= math.dist(start, obstacle) - NEAR_START:
             continue
         if distance < _kept_distance(obstacle, goal or end, clearance):
@@ -94,7 +87,9 @@ def next_waypoint(
 
 
 def _cell(point: Point) -> int:
-    column, row = (min(SIDE - 1, max(0, round((value + ROBOT_LIMIT) / SPACING))) for value in point)
+    column, row = (
+        min(SIDE - 1, max(0, round((value + g.ROBOT_LIMIT) / SPACING))) for value in point
+    )
     return row * SIDE + column
 
 
@@ -123,8 +118,8 @@ def _search(start: int, goal: int, cost: list[float], heading: float) -> list[in
         for other, length in _NEIGHBOURS[cell]:
             total = spent[cell] + 0.5 * length * (cost[cell] + cost[other])
             if cell == start:
-                turn = bearing(_POINTS[start], _POINTS[other]) - heading
-                total += TURN_COST * abs(wrap_angle(turn))
+                turn = g.bearing(_POINTS[start], _POINTS[other]) - heading
+                total += TURN_COST * abs(g.wrap_angle(turn))
             if total < spent.get(other, math.inf):
                 spent[other], parent[other] = total, cell
                 x, y = _POINTS[other]

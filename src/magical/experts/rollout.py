@@ -7,12 +7,11 @@ from gymnasium.utils.seeding import np_random
 from numpy.typing import NDArray
 
 from magical.errors import InvalidTaskError
-from magical.experts.expert import Expert, expert_for, strategy_seed
+from magical.experts.expert import EpisodeExpert, expert_for, strategy_seed
 from magical.experts.goals import get_planner
-from magical.experts.memory import Memory, note_other_action
-from magical.experts.noise import perturbation
+from magical.experts.noise import RandomActions
 from magical.physics import Simulation
-from magical.scene import NOOP, Dynamics, Poses, Scene, State
+from magical.scene import Dynamics, Poses, Scene, State
 from magical.scene.actions import POINTS
 from magical.tasks import get_task
 from magical.tasks.registry import defining_modules
@@ -35,31 +34,8 @@ class ExpertEpisode:
         return self.bodies[:, :, :3]
 
 
-class EpisodeExpert:
-    """An expert with its memory of one episode, in which others may also act."""
-
-    def __init__(self, expert: Expert) -> None:
-        self._expert = expert
-        self._memory = Memory()
-        self._action = NOOP  # its last action
-
-    def act(self, state: State) -> int:
-        """The expert's action in the current state."""
-        self._action, self._memory = self._expert.act(state, self._memory)
-        return self._action
-
-    def note_executed(self, action: int) -> None:
-        """Record the executed action; if it was not the expert's own, the expert takes over."""
-        if action != self._action:
-            self._memory = note_other_action(self._memory, action)
-
-
 def rollout(
-    task: str,
-    variant: str = "Demo",
-    seed: int | None = None,
-    *,
-    perturb: float = 0.0,
+    task: str, variant: str = "Demo", seed: int | None = None, *, perturb: float = 0.0
 ) -> ExpertEpisode:
     """Roll out the expert in the episode that the environment's `reset(seed=seed)` starts.
 
@@ -79,7 +55,7 @@ def rollout(
     scene, dynamics = spec.sample(variant, rng)
     spec.validate(scene)
     expert = EpisodeExpert(expert_for(task, seed=strategy_seed(variant, seed)))
-    random_actions = perturbation(perturb, rng.spawn(1)[0])
+    random_actions = RandomActions(perturb, rng.spawn(1)[0])
     simulation = Simulation(scene, dynamics)
     chosen, tables = [], [simulation.read()]
     for step in range(spec.horizon):
@@ -98,15 +74,14 @@ def modules_of(task: str) -> list[str]:
     """The modules that a new process must import to have a task and its expert.
 
     Raises:
-        InvalidTaskError: the task, or its expert, is from outside the package and not in an
-            importable module.
+        InvalidTaskError: the task, or its expert, is not in an importable module.
         NoExpertError: the task has no expert.
     """
     modules, plan_fn = defining_modules([get_task(task)]), get_planner(task).plan_fn
-    planning = getattr(plan_fn, "func", plan_fn).__module__  # for a partial, its function's
-    if planning == "__main__":
+    module = getattr(plan_fn, "func", plan_fn).__module__  # for a partial, its function's
+    if module == "__main__":
         raise InvalidTaskError(
-            f"expert of {task}: workers import experts by themselves, and never the main script, "
-            "which holds this one; put it into a module that registers it, or use workers=1"
+            f"expert of {task}: other processes never import the main script, which holds this "
+            "one; put it into a module that registers it, or use workers=1"
         )
-    return sorted({*modules, planning})
+    return sorted({*modules, module})

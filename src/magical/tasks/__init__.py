@@ -8,7 +8,7 @@ from magical.tasks.horizons import (
     parse_horizon,
     require_two_horizons,
 )
-from magical.tasks.placement import Placement
+from magical.tasks.placement import Placement, validate_scene
 from magical.tasks.registry import (
     TASKS,
     TaskFamily,
@@ -24,7 +24,6 @@ from magical.tasks.registry import (
     with_tasks,
 )
 from magical.tasks.task import Horizon, Task
-from magical.tasks.validation import validate_scene
 
 __all__ = [
     "CHANGES",

@@ -8,28 +8,12 @@ from dataclasses import replace
 import numpy as np
 
 from magical.scene import Block, Colour, Pose, Poses, Region, Scene, Shape
-from magical.tasks.attributes import cycle_blocks, sample_attributes, sample_count
-from magical.tasks.axes import EVERYTHING, Axis
+from magical.tasks.axes import EVERYTHING, Axis, cycle_blocks, sample_attributes, sample_count
 from magical.tasks.placement import Placement
 from magical.tasks.scoring import blocks_inside
 from magical.tasks.task import Task
 
 OTHERS = (1, 5)  # minimum and maximum number of outside blocks, without the duplicate, in CountPlus
-MARGIN = 0.06  # units from the query's centre to the region's nearest edge
-
-DEMO = Scene(
-    robot=Pose(-0.57, 0.25, 3.83),
-    blocks=(
-        Block(Shape.PENTAGON, Colour.GREEN, Pose(-0.066751, 0.7552, -2.9266)),
-        Block(Shape.CIRCLE, Colour.RED, Pose(-0.05195, 0.31468, 1.5418)),
-        Block(Shape.CIRCLE, Colour.RED, Pose(0.57528, -0.46865, -2.2141)),
-        Block(Shape.SQUARE, Colour.YELLOW, Pose(0.40594, -0.74977, 0.24582)),
-        Block(Shape.STAR, Colour.BLUE, Pose(0.45254, 0.3681, -1.0834)),
-        Block(Shape.PENTAGON, Colour.YELLOW, Pose(0.76849, -0.10652, 0.10028)),
-        Block(Shape.PENTAGON, Colour.YELLOW, Pose(-0.33, -0.49, -0.51)),
-    ),
-    regions=(Region(Colour.YELLOW, x=-0.72, y=-0.22, height=0.67, width=0.72),),
-)
 
 
 def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
@@ -46,14 +30,12 @@ def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
     )
 
 
-def score(scene: Scene, poses: Poses) -> float:
-    """Query satisfied, times one minus the distractor penalty, 0 to 1 (appendix A.2.5)."""
+def _score(scene: Scene, poses: Poses) -> float:
     query_stays = len(scene.blocks) - 1 in blocks_inside(scene.regions[0], scene, poses)
-    return published_score(scene, poses) if query_stays else 0.0
+    return _published_score(scene, poses) if query_stays else 0.0
 
 
-def published_score(scene: Scene, poses: Poses) -> float:
-    """As `score`, but any two blocks like the query suffice (docs/specification.md, section 9)."""
+def _published_score(scene: Scene, poses: Poses) -> float:
     kind, inside = alike(scene), blocks_inside(scene.regions[0], scene, poses)
     return len(inside & kind) / len(inside) if len(kind & inside) > 1 else 0.0
 
@@ -65,8 +47,7 @@ def alike(scene: Scene) -> set[int]:
     return {i for i, block in enumerate(scene.blocks) if (block.shape, block.colour) == wanted}
 
 
-def instruction(scene: Scene) -> str:
-    """What to do, in English."""
+def _instruction(scene: Scene) -> str:
     kind, region = f"{scene.blocks[-1].colour} {scene.blocks[-1].shape}", scene.regions[0].colour
     duplicate = f"the {kind} that is outside" if len(alike(scene)) == 2 else f"one {kind}"
     return (
@@ -75,17 +56,7 @@ def instruction(scene: Scene) -> str:
     )
 
 
-def validate(scene: Scene) -> str:
-    """The reason why the scene does not fit the task, or an empty string."""
-    if len(scene.regions) != 1 or not scene.blocks:
-        return "expected 1 goal region and the query as the last block, found fewer; add them"
-    (region,), blocks = scene.regions, scene.blocks
-    inside = [i for i, block in enumerate(blocks) if region.contains(*block.pose[:2])]
-    if inside != [len(blocks) - 1]:
-        return (
-            f"expected block {len(blocks) - 1} (the query) alone inside the region, found blocks "
-            f"{inside}; move them"
-        )
+def _validate(scene: Scene) -> str:
     if len(alike(scene)) > 1:
         return ""
     return "expected a duplicate of the last block (the query), found none; add one"
@@ -102,14 +73,28 @@ and R the blocks that end inside the region, the score is
 In the published code, any two blocks like the query suffice, and q need not stay.""",
     section="A.2.5",
     horizon=100,
-    demo=DEMO,
+    demo=Scene(
+        robot=Pose(-0.57, 0.25, 3.83),
+        blocks=(
+            Block(Shape.PENTAGON, Colour.GREEN, Pose(-0.066751, 0.7552, -2.9266)),
+            Block(Shape.CIRCLE, Colour.RED, Pose(-0.05195, 0.31468, 1.5418)),
+            Block(Shape.CIRCLE, Colour.RED, Pose(0.57528, -0.46865, -2.2141)),
+            Block(Shape.SQUARE, Colour.YELLOW, Pose(0.40594, -0.74977, 0.24582)),
+            Block(Shape.STAR, Colour.BLUE, Pose(0.45254, 0.3681, -1.0834)),
+            Block(Shape.PENTAGON, Colour.YELLOW, Pose(0.76849, -0.10652, 0.10028)),
+            Block(Shape.PENTAGON, Colour.YELLOW, Pose(-0.33, -0.49, -0.51)),
+        ),
+        regions=(Region(Colour.YELLOW, x=-0.72, y=-0.22, height=0.67, width=0.72),),
+    ),
     axes=EVERYTHING,
     randomise_fn=randomise,
-    placement=Placement(encloses=True, margin=MARGIN),
-    score_fn=score,
-    instruction_fn=instruction,
-    published_score_fn=published_score,
+    placement=Placement(encloses=True, margin=0.06),
+    score_fn=_score,
+    instruction_fn=_instruction,
+    published_score_fn=_published_score,
+    min_blocks=2,
     max_blocks=OTHERS[1] + 2,
+    min_regions=1,
     max_regions=1,
-    validate_fn=validate,
+    validate_fn=_validate,
 )

@@ -2,13 +2,14 @@
 
 import operator
 from collections.abc import Iterable
+from contextlib import suppress
 from typing import Any, Final
 
 import numpy as np
 
 from magical.errors import InvalidConfigError, UnknownNameError
 from magical.messages import quoted
-from magical.tasks.registry import get_task, importable_tasks
+from magical.tasks.registry import get_task
 from magical.tasks.task import Horizon
 
 APPENDIX: Final = "appendix"
@@ -17,23 +18,17 @@ MAX_HORIZON = int(np.iinfo(np.int64).max)
 
 
 def parse_horizon(value: Any) -> Horizon:
-    """Parse "appendix", "published" or a number of steps into what `Task.resolve_horizon` takes.
-
-    Raises `InvalidConfigError` for anything else.
-    """
+    """From "appendix", "published" or a number of steps; `InvalidConfigError` for anything else."""
     if value is None or (isinstance(value, str) and value in (APPENDIX, PUBLISHED)):
         return PUBLISHED if value == PUBLISHED else None
-    digits = isinstance(value, str) and value.isascii() and value.isdigit() and len(value) < 20
-    try:
-        steps = int(value) if digits else operator.index(value)
-    except TypeError:
-        steps = 0
-    if isinstance(value, bool) or not 1 <= steps <= MAX_HORIZON:
-        raise InvalidConfigError(
-            f"horizon: expected {APPENDIX}, {PUBLISHED} or a number of control steps from 1 to "
-            f"{MAX_HORIZON}, found {quoted(value)}"
-        )
-    return steps
+    with suppress(TypeError, ValueError):
+        steps = int(value) if isinstance(value, str) else operator.index(value)
+        if 1 <= steps <= MAX_HORIZON and not isinstance(value, bool):
+            return steps
+    raise InvalidConfigError(
+        f"horizon: expected {APPENDIX}, {PUBLISHED} or a number of control steps from 1 to "
+        f"{MAX_HORIZON}, found {quoted(value)}"
+    )
 
 
 def format_horizon(horizon: Horizon) -> str:
@@ -51,8 +46,7 @@ def require_two_horizons(tasks: Iterable[str]) -> None:
     names = list(dict.fromkeys(tasks))
     if not have_two_horizons(names):
         found = ", ".join(f"{name} ({get_task(name).horizon} steps)" for name in names)
-        expected = ", ".join(task.name for task in importable_tasks() if task.has_two_horizons)
         raise UnknownNameError(
-            f"horizon 'published': expected a task that the published code runs for another number "
-            f"of steps ({expected}), found tasks with one horizon only: {found}; leave it out"
+            "horizon 'published': expected a task that the published code runs for another number "
+            f"of steps, found tasks with one horizon only: {found}; leave it out"
         )

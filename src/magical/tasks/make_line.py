@@ -5,23 +5,12 @@ from dataclasses import replace
 import numpy as np
 
 from magical.scene import Block, Colour, Pose, Poses, Scene, Shape
-from magical.tasks.attributes import cycle_blocks, sample_attributes, sample_count
-from magical.tasks.axes import EVERYTHING, Axis
+from magical.tasks.axes import EVERYTHING, Axis, cycle_blocks, sample_attributes, sample_count
 from magical.tasks.scoring import longest_line, positions
 from magical.tasks.task import Task
 
 BLOCKS = (3, 4)  # minimum and maximum in CountPlus
 PUBLISHED_SHORTEST = 3  # blocks: shorter lines score 0 in the published code
-
-DEMO = Scene(
-    robot=Pose(0.702, -0.255, 0.347),
-    blocks=(
-        Block(Shape.STAR, Colour.BLUE, Pose(0.790, -0.820, -0.721)),
-        Block(Shape.CIRCLE, Colour.YELLOW, Pose(-0.177, 0.383, -1.733)),
-        Block(Shape.STAR, Colour.RED, Pose(-0.051, -0.128, 2.696)),
-        Block(Shape.PENTAGON, Colour.GREEN, Pose(-0.292, -0.745, -0.159)),
-    ),
-)
 
 
 def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
@@ -32,21 +21,14 @@ def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
     return replace(scene, blocks=sample_attributes(blocks, axes, rng))
 
 
-def score(scene: Scene, poses: Poses) -> float:
-    """1 if all blocks are in line, 0.5 if all but one are, else 0 (appendix A.2.4)."""
+def _score(scene: Scene, poses: Poses) -> float:
     missing = len(scene.blocks) - longest_line(positions(scene, poses))
     return {0: 1.0, 1: 0.5}.get(missing, 0.0)
 
 
-def published_score(scene: Scene, poses: Poses) -> float:
-    """As `score`, but two blocks of three score 0 (docs/specification.md, section 9)."""
+def _published_score(scene: Scene, poses: Poses) -> float:
     shortest = min(PUBLISHED_SHORTEST, len(scene.blocks))
-    return score(scene, poses) if longest_line(positions(scene, poses)) >= shortest else 0.0
-
-
-def validate(scene: Scene) -> str:
-    """The reason why the scene does not fit the task, or an empty string."""
-    return "" if len(scene.blocks) > 1 else "expected at least 2 blocks, found fewer; add blocks"
+    return _score(scene, poses) if longest_line(positions(scene, poses)) >= shortest else 0.0
 
 
 TASK = Task(
@@ -59,12 +41,19 @@ is 1 if m = n, 0.5 if m = n - 1, otherwise 0. Colours and shapes are ignored. In
 two of three blocks in a line score 0.""",
     section="A.2.4",
     horizon=180,
-    demo=DEMO,
+    demo=Scene(
+        robot=Pose(0.702, -0.255, 0.347),
+        blocks=(
+            Block(Shape.STAR, Colour.BLUE, Pose(0.790, -0.820, -0.721)),
+            Block(Shape.CIRCLE, Colour.YELLOW, Pose(-0.177, 0.383, -1.733)),
+            Block(Shape.STAR, Colour.RED, Pose(-0.051, -0.128, 2.696)),
+            Block(Shape.PENTAGON, Colour.GREEN, Pose(-0.292, -0.745, -0.159)),
+        ),
+    ),
     axes=EVERYTHING,
     randomise_fn=randomise,
-    score_fn=score,
-    published_score_fn=published_score,
+    score_fn=_score,
+    published_score_fn=_published_score,
+    min_blocks=2,
     max_blocks=BLOCKS[1],
-    max_regions=0,
-    validate_fn=validate,
 )

@@ -6,32 +6,20 @@ from dataclasses import replace
 import numpy as np
 
 from magical.scene import COLOURS, Block, Colour, Pose, Poses, Region, Scene, Shape
-from magical.tasks.attributes import (
+from magical.tasks.axes import (
+    EVERYTHING,
+    Axis,
     cycle_blocks,
     name_blocks,
     sample_attributes,
     sample_count,
     sample_item,
 )
-from magical.tasks.axes import EVERYTHING, Axis
 from magical.tasks.scoring import blocks_inside
 from magical.tasks.task import Task
 
 TARGETS = (1, 2)  # minimum and maximum in CountPlus
 DISTRACTORS = (0, 2)  # minimum and maximum of each other colour in CountPlus
-
-# Targets first, then distractors by colour in the vocabulary's order.
-DEMO = Scene(
-    robot=Pose(-0.5, 0.1, -1.2 * math.pi),
-    blocks=(
-        Block(Shape.STAR, Colour.GREEN, Pose(0.8, -0.7, 2.37)),
-        Block(Shape.SQUARE, Colour.GREEN, Pose(-0.68, 0.72, 1.28)),
-        Block(Shape.PENTAGON, Colour.BLUE, Pose(-0.05, -0.2, -1.09)),
-        Block(Shape.CIRCLE, Colour.YELLOW, Pose(-0.75, -0.55, 2.78)),
-        Block(Shape.PENTAGON, Colour.YELLOW, Pose(0.3, -0.82, -1.15)),
-    ),
-    regions=(Region(Colour.GREEN, x=0.1, y=0.7, height=0.7, width=0.6),),
-)
 
 
 def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
@@ -64,29 +52,23 @@ def targets(scene: Scene) -> set[int]:
     return {i for i, b in enumerate(scene.blocks) if b.colour == scene.regions[0].colour}
 
 
-def score(scene: Scene, poses: Poses) -> float:
-    """Target bonus times one minus the distractor penalty, 0 to 1 (appendix A.2.3)."""
+def _score(scene: Scene, poses: Poses) -> float:
     wanted, inside = targets(scene), blocks_inside(scene.regions[0], scene, poses)
     if not inside:
         return 0.0
     return len(wanted & inside) / len(wanted) * (1.0 - len(inside - wanted) / len(inside))
 
 
-def instruction(scene: Scene) -> str:
-    """What to do, in English."""
+def _instruction(scene: Scene) -> str:
     region = f"the {scene.regions[0].colour} region"
     names = name_blocks([scene.blocks[i] for i in sorted(targets(scene))])
     return f"Push {names} into {region}. Keep all other blocks out of {region}."
 
 
-def validate(scene: Scene) -> str:
-    """The reason why the scene does not fit the task, or an empty string."""
-    if len(scene.regions) != 1:
-        return "expected 1 goal region, found none"
+def _validate(scene: Scene) -> str:
     if targets(scene):
         return ""
-    colour = scene.regions[0].colour
-    return f"expected a block of the region's colour {colour}, found none; add one"
+    return f"expected a block of the region's colour {scene.regions[0].colour}, found none; add one"
 
 
 TASK = Task(
@@ -98,12 +80,24 @@ and R the blocks that end inside the region, the score is
     |T & R| / |T|  x  (1 - |D & R| / |R|)      (0 if R is empty).""",
     section="A.2.3",
     horizon=120,
-    demo=DEMO,
+    # Targets first, then distractors by colour in the vocabulary's order.
+    demo=Scene(
+        robot=Pose(-0.5, 0.1, -1.2 * math.pi),
+        blocks=(
+            Block(Shape.STAR, Colour.GREEN, Pose(0.8, -0.7, 2.37)),
+            Block(Shape.SQUARE, Colour.GREEN, Pose(-0.68, 0.72, 1.28)),
+            Block(Shape.PENTAGON, Colour.BLUE, Pose(-0.05, -0.2, -1.09)),
+            Block(Shape.CIRCLE, Colour.YELLOW, Pose(-0.75, -0.55, 2.78)),
+            Block(Shape.PENTAGON, Colour.YELLOW, Pose(0.3, -0.82, -1.15)),
+        ),
+        regions=(Region(Colour.GREEN, x=0.1, y=0.7, height=0.7, width=0.6),),
+    ),
     axes=EVERYTHING,
     randomise_fn=randomise,
-    score_fn=score,
-    instruction_fn=instruction,
+    score_fn=_score,
+    instruction_fn=_instruction,
     max_blocks=TARGETS[1] + DISTRACTORS[1] * (len(COLOURS) - 1),
+    min_regions=1,
     max_regions=1,
-    validate_fn=validate,
+    validate_fn=_validate,
 )

@@ -10,8 +10,7 @@ import numpy as np
 
 from magical.scene import Block, Colour, Pose, Poses, Scene, Shape
 from magical.scene.constants import WORKSPACE_HALF
-from magical.tasks.attributes import name_blocks, sample_attributes
-from magical.tasks.axes import Axis
+from magical.tasks.axes import Axis, name_blocks, sample_attributes
 from magical.tasks.scoring import positions
 from magical.tasks.task import Task
 
@@ -19,27 +18,15 @@ GOAL = (-WORKSPACE_HALF, WORKSPACE_HALF)  # the top left corner
 NO_SCORE = math.sqrt(2.0)  # units from the corner: no score from here on
 FULL_SCORE = NO_SCORE / 2  # units: full score within
 
-DEMO = Scene(
-    robot=Pose(0.4, 0.0, 0.55 * math.pi),
-    blocks=(Block(Shape.SQUARE, Colour.RED, Pose(0.1, -0.65, 0.13 * math.pi)),),
-    robot_first=True,
-)
-
 
 def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
     """Sample the block's colour and shape."""
     return replace(scene, blocks=sample_attributes(scene.blocks, axes, rng))
 
 
-def score(scene: Scene, poses: Poses) -> float:
-    """1 near the corner, 0 far from it, linear between (appendix A.2.1)."""
+def _score(scene: Scene, poses: Poses) -> float:
     left = NO_SCORE - math.dist(positions(scene, poses)[0], GOAL)
     return min(max(left / (NO_SCORE - FULL_SCORE), 0.0), 1.0)
-
-
-def validate(scene: Scene) -> str:
-    """The reason why the scene does not fit the task, or an empty string."""
-    return "" if len(scene.blocks) == 1 else f"expected 1 block, found {len(scene.blocks)}"
 
 
 TASK = Task(
@@ -49,12 +36,15 @@ TASK = Task(
 of the workspace, 0 beyond sqrt(2) units, and linear in the distance between.""",
     section="A.2.1",
     horizon=80,
-    demo=DEMO,
+    demo=Scene(
+        robot=Pose(0.4, 0.0, 0.55 * math.pi),
+        blocks=(Block(Shape.SQUARE, Colour.RED, Pose(0.1, -0.65, 0.13 * math.pi)),),
+        robot_first=True,
+    ),
     axes=Axis.JITTER | Axis.COLOUR | Axis.SHAPE | Axis.DYNAMICS,
     randomise_fn=randomise,
-    score_fn=score,
+    score_fn=_score,
     instruction_fn=lambda scene: f"Push {name_blocks(scene.blocks)} to the top left corner.",
+    min_blocks=1,
     max_blocks=1,
-    max_regions=0,
-    validate_fn=validate,
 )

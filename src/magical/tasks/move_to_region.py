@@ -5,14 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from magical.scene import COLOURS, Colour, Pose, Poses, Region, Scene
-from magical.tasks.attributes import sample_item
-from magical.tasks.axes import Axis
+from magical.tasks.axes import Axis, sample_item
 from magical.tasks.task import Task
-
-DEMO = Scene(
-    robot=Pose(0.058, 0.53, -2.13),
-    regions=(Region(Colour.BLUE, x=-0.62, y=-0.17, height=0.76, width=0.75),),
-)
 
 
 def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
@@ -22,14 +16,8 @@ def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
     return replace(scene, regions=(replace(scene.regions[0], colour=sample_item(COLOURS, rng)),))
 
 
-def score(scene: Scene, poses: Poses) -> float:
-    """1 if the robot's centre is inside the region, else 0 (appendix A.2.2)."""
+def _score(scene: Scene, poses: Poses) -> float:
     return float(scene.regions[0].contains(*poses.robot[:2]))
-
-
-def validate(scene: Scene) -> str:
-    """The reason why the scene does not fit the task, or an empty string."""
-    return "" if len(scene.regions) == 1 else "expected 1 goal region, found none"
 
 
 TASK = Task(
@@ -38,12 +26,14 @@ TASK = Task(
     rule="The score is 1 if the centre of the robot's body ends inside the goal region, else 0.",
     section="A.2.2",
     horizon=40,
-    demo=DEMO,
+    demo=Scene(
+        robot=Pose(0.058, 0.53, -2.13),
+        regions=(Region(Colour.BLUE, x=-0.62, y=-0.17, height=0.76, width=0.75),),
+    ),
     axes=Axis.JITTER | Axis.LAYOUT | Axis.COLOUR | Axis.DYNAMICS,
     randomise_fn=randomise,
-    score_fn=score,
+    score_fn=_score,
     instruction_fn=lambda scene: f"Drive into the {scene.regions[0].colour} region.",
-    max_blocks=0,
+    min_regions=1,
     max_regions=1,
-    validate_fn=validate,
 )

@@ -54,7 +54,7 @@ class _Tasks(Mapping[str, Task]):
         return iter(dict.fromkeys((*_tasks, *plugins(GROUP))))
 
     def __len__(self) -> int:
-        return len({*_tasks, *plugins(GROUP)})
+        return len(list(iter(self)))
 
     def __contains__(self, name: object) -> bool:
         return name in _tasks or is_offered(GROUP, str(name))
@@ -62,7 +62,7 @@ class _Tasks(Mapping[str, Task]):
     def __getitem__(self, name: str) -> Task:
         if name in _tasks or name not in self:
             return _tasks[name]
-        task = _loaded(name)
+        task = _load(name)
         if task.name != name:
             raise PluginError(f"{GROUP}: expected the task {name!r}, found {task.name!r}")
         if name in plugins(GROUP):
@@ -86,14 +86,12 @@ def suites() -> dict[str, tuple[str, ...]]:
 def register_task(task: Task) -> Task:
     """Add a task to `TASKS` and return it.
 
-    Raises:
-        InvalidTaskError: another task already has this name.
-        InvalidSceneError: bodies of its Demo scene overlap, or reach out of the workspace.
+    Raises `InvalidTaskError` for a name that another task has, and `InvalidSceneError` for a Demo
+    scene that cannot be simulated.
     """
     if family_of(GROUP, task.name) or _tasks.get(task.name, task) is not task:
         raise InvalidTaskError(
-            f"expected a new task name, found {task.name!r}, which is registered already; "
-            "choose another"
+            f"expected a new task name, found {task.name!r}, which is registered already"
         )
     task.validate(task.demo)
     _tasks[task.name] = task
@@ -101,11 +99,11 @@ def register_task(task: Task) -> Task:
 
 
 def unregister_task(name: str) -> Task:
-    """Remove a task from `TASKS` and return it; raises `UnknownNameError`, for a family's too."""
+    """Remove a registered task from `TASKS` and return it; raises `UnknownNameError`."""
     task = get_task(name)
-    if _tasks.pop(task.name, None) is None:
-        raise UnknownNameError(f"{task.name} is of a family of tasks, and cannot be removed")
-    _imported_from.pop(task.name, None)
+    if _tasks.pop(name, None) is None:
+        raise UnknownNameError(f"{name} is of a family of tasks, and cannot be removed")
+    _imported_from.pop(name, None)
     return task
 
 
@@ -137,37 +135,35 @@ def load_task(name: str) -> Task:
 
     Only for names that users give: those in files may come from anywhere.
     """
-    return register_task(_loaded(name)) if ":" in name else get_task(name)
+    return register_task(_load(name)) if ":" in name else get_task(name)
 
 
 def possible_variants(name: str) -> tuple[str, ...]:
     """The variants that a task has, or may have if it is not imported yet."""
-    if name not in TASKS:
-        get_task(name)  # raises
-    return _tasks[name].variants if name in _tasks else tuple(VARIANTS)
-
-
-def load_tasks(modules: Iterable[str]) -> None:
-    """Import a user's modules and register the tasks that they hold, but for known names."""
-    for name in modules:
-        for task in vars(import_user_module(name)).values():
-            if isinstance(task, Task) and task.name not in TASKS:
-                register_task(task)
+    if name in _tasks or name not in TASKS:
+        return get_task(name).variants
+    return tuple(VARIANTS)
 
 
 def import_tasks(name: str) -> None:
-    """As `load_tasks`, for a module whose import may register tasks; raises `PluginError`."""
-    known = set(_tasks)
-    load_tasks([name])
-    module = import_user_module(name).__name__
-    _imported_from.update(dict.fromkeys(set(_tasks) - known, module))
+    """Import a user's module, and register the tasks that it holds; raises `PluginError`."""
+    known, module = set(_tasks), import_user_module(name)
+    for task in list(vars(module).values()):
+        if isinstance(task, Task) and task.name not in TASKS:
+            register_task(task)
+    _imported_from.update(dict.fromkeys(set(_tasks) - known, module.__name__))
+
+
+def load_tasks(modules: Iterable[str]) -> None:
+    """As `import_tasks`, for several modules."""
+    for name in modules:
+        import_tasks(name)
 
 
 def defining_modules(tasks: Iterable[Task]) -> list[str]:
-    """The modules that a new process must import to have tasks from outside the package.
+    """The modules that a new process must import to have tasks, but for those of entry points.
 
-    The process finds tasks of entry points on its own. Raises `InvalidTaskError` for any other task
-    that no importable module holds.
+    Raises `InvalidTaskError` for a task that no importable module holds.
     """
     others = [task for task in tasks if task.name not in _own and not is_offered(GROUP, task.name)]
     return sorted(set(map(_defining_module, others)))
@@ -181,14 +177,13 @@ def _defining_module(task: Task) -> str:
     if task.name in _imported_from:
         return _imported_from[task.name]
     raise InvalidTaskError(
-        f"task {task.name}: other processes import tasks by themselves, and no importable module "
-        "holds this one (the main script is never imported); give it a name in a module, or use "
-        "workers=1"
+        f"task {task.name}: other processes never import the main script, and no importable module "
+        "holds this task; give it a name in a module, or use workers=1"
     )
 
 
 def with_tasks(work: Callable[[Item], Result], modules: Iterable[str]) -> Callable[[Item], Result]:
-    """`work` to be called in another process, where the tasks of these modules are loaded first."""
+    """The function, for another process: it first imports the tasks that modules hold."""
     return partial(_with_tasks, work, tuple(modules))
 
 
@@ -198,15 +193,15 @@ def _with_tasks(work: Callable[[Item], Result], modules: Iterable[str], item: It
 
 
 def discover(package: str, path: Iterable[str]) -> None:
-    """Register the `TASK` of every module in a package, in the order of the appendix's sections."""
-    modules = (importlib.import_module(f"{package}.{m.name}") for m in pkgutil.iter_modules(path))
-    tasks = [module.TASK for module in modules if hasattr(module, "TASK")]
+    """Register the tasks in the modules of a package, in the order of the appendix's sections."""
+    modules = [importlib.import_module(f"{package}.{m.name}") for m in pkgutil.iter_modules(path)]
+    tasks = [task for module in modules for task in vars(module).values() if isinstance(task, Task)]
     for task in sorted(tasks, key=lambda task: (not task.section, task.section, task.name)):
         _own.add(task.name)
         _tasks[task.name] = task  # without importing another distribution's task of this name
 
 
-def _loaded(name: str) -> Task:
+def _load(name: str) -> Task:
     task: Any = load_plugin(GROUP, name)
     if not isinstance(task, Task):
         raise PluginError(f"{GROUP}: {name!r}: expected a Task, found {type(task).__name__}")

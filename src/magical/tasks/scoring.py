@@ -19,16 +19,9 @@ Distances = NDArray[np.float64]  # (..., number of blocks) squared units
 
 
 def positions(scene: Scene, poses: Poses) -> list[Point]:
-    """The blocks' centres in the scene's order, in units.
-
-    Raises:
-        InvalidSceneError: the poses are for a different number of blocks.
-    """
-    if len(poses.blocks) != len(scene.blocks):
-        raise InvalidSceneError(
-            f"score: expected poses of the scene's {len(scene.blocks)} blocks, "
-            f"found {len(poses.blocks)}"
-        )
+    """The blocks' centres in units; raises `InvalidSceneError` for poses of another scene."""
+    if len(poses.blocks) != (count := len(scene.blocks)):
+        raise InvalidSceneError(f"expected the scene's {count} blocks, found {len(poses.blocks)}")
     return [(x, y) for x, y, _ in poses.blocks.tolist()]
 
 
@@ -39,35 +32,29 @@ def blocks_inside(region: Region, scene: Scene, poses: Poses) -> set[int]:
 
 def longest_line(blocks: Sequence[Point]) -> int:
     """The number of blocks in the largest line through any pair (appendix A.2.4)."""
-    lines = (line_through(a, b, blocks) for a, b in combinations(blocks, 2) if a != b)
-    return max(lines, default=1)
-
-
-def line_through(a: Point, b: Point, blocks: Sequence[Point]) -> int:
-    """The number of blocks in the largest line through two different points."""
-    length = math.dist(a, b)
-    ux, uy = (b[0] - a[0]) / length, (b[1] - a[1]) / length
-    offsets = [(x - a[0], y - a[1]) for x, y in blocks]
-    along = sorted(ux * x + uy * y for x, y in offsets if abs(ux * y - uy * x) <= INLIER_DISTANCE)
-    longest = current = 1
-    for previous, following in pairwise(along):
-        current = current + 1 if following - previous <= NEIGHBOUR_DISTANCE else 1
-        longest = max(longest, current)
+    longest = 1
+    for a, b in combinations(blocks, 2):
+        if a == b:
+            continue
+        length = math.dist(a, b)
+        ux, uy = (b[0] - a[0]) / length, (b[1] - a[1]) / length
+        offsets = [(x - a[0], y - a[1]) for x, y in blocks]
+        near = [(x, y) for x, y in offsets if abs(ux * y - uy * x) <= INLIER_DISTANCE]
+        count = 1
+        for previous, following in pairwise(sorted(ux * x + uy * y for x, y in near)):
+            count = count + 1 if following - previous <= NEIGHBOUR_DISTANCE else 1
+            longest = max(longest, count)
     return longest
 
 
 def centroid_distances(
     values: Sequence[str], points: NDArray[np.float64]
 ) -> tuple[Distances, Distances]:
-    """Squared distances to centroids.
+    """Each block's squared distances (..., blocks) to its own centroid and the nearest other one.
 
     Args:
         values: each block's value of the attribute.
         points: the blocks' centres (..., blocks, 2), in units.
-
-    Returns:
-        Two arrays (..., blocks) in squared units: each block's squared distance to the centroid of
-        its own value, and to the nearest centroid of another value.
     """
     present = sorted(set(values))
     member = np.array([[value == a for a in present] for value in values])  # (blocks, values)

@@ -10,29 +10,19 @@ import numpy as np
 from magical.errors import InvalidSceneError, InvalidTaskError, PlacementError, UnknownNameError
 from magical.scene import Dynamics, Poses, Scene
 from magical.tasks.axes import TEST_ALL, VARIANTS, Axis
-from magical.tasks.placement import Placement, sample_placement
-from magical.tasks.validation import validate_scene
+from magical.tasks.placement import Placement, sample_placement, validate_scene
 
-RandomiseFn = Callable[[Scene, Axis, np.random.Generator], Scene]
-ScoreFn = Callable[[Scene, Poses], float]
-InstructionFn = Callable[[Scene], str]
-ValidateFn = Callable[[Scene], str]
 MAX_SCENES = 1000  # sampled at most for one episode; the paper's tasks need only one
 
 Horizon = int | Literal["published"] | None  # steps, the published code's, the appendix's
-
-
-def _accept(scene: Scene) -> str:
-    return ""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Task:
     """One task of the benchmark.
 
-    Raises:
-        InvalidTaskError: fields that contradict each other.
-        InvalidSceneError: a Demo scene that does not fit the task; registering it finds overlaps.
+    Raises `InvalidTaskError` for an impossible name or horizon, and `InvalidSceneError` for a Demo
+    scene that does not fit the task; registering it finds overlaps.
     """
 
     name: str  # as in environment ids, for instance MoveToCorner
@@ -43,29 +33,25 @@ class Task:
     published_horizon: int | None = None  # the published code's, if different
     demo: Scene  # the Demo variant's scene (docs/specification.md, section 8)
     axes: Axis  # the axes that its variants may change (appendix, Table 2)
-    randomise_fn: RandomiseFn  # samples counts, colours and shapes along the given axes; not poses
+    randomise_fn: Callable[[Scene, Axis, np.random.Generator], Scene]  # samples all but poses
     placement: Placement = field(default_factory=Placement)  # how regions and blocks are placed
-    score_fn: ScoreFn  # the appendix's score of a final state, 0 to 1
-    published_score_fn: ScoreFn | None = None  # the published code's, if different (section 9)
-    instruction_fn: InstructionFn | None = None  # what to do, in English; by default the summary
-    max_blocks: int  # over all variants
-    max_regions: int  # over all variants
-    validate_fn: ValidateFn = _accept  # the reason why a scene does not fit, or ""
+    score_fn: Callable[[Scene, Poses], float]  # the appendix's score of a final state, 0 to 1
+    published_score_fn: Callable[[Scene, Poses], float] | None = None  # the published code's
+    instruction_fn: Callable[[Scene], str] | None = None  # in English; by default the summary
+    min_blocks: int = 0  # over all variants, as the following
+    max_blocks: int = 0
+    min_regions: int = 0
+    max_regions: int = 0
+    validate_fn: Callable[[Scene], str] = lambda scene: ""  # why a scene does not fit, or ""
 
     def __post_init__(self) -> None:
-        if not self.name.isalnum():
+        if not self.name.isalnum() or self.horizon < 1:
             raise InvalidTaskError(
-                f"task name: expected letters and digits as in environment ids, found {self.name!r}"
+                "task: expected a name of letters and digits, as in environment ids, and a "
+                f"positive horizon, found {self.name!r} and {self.horizon}"
             )
-        for horizon in (self.horizon, self.published_horizon):
-            if horizon is not None and horizon < 1:
-                raise InvalidTaskError(f"{self.name}: expected a positive horizon, found {horizon}")
-        needed = VARIANTS["TestCountPlus"]
-        if Axis.COUNT in self.axes and needed not in self.axes:
-            raise InvalidTaskError(
-                f"{self.name}: expected {needed} for the axis COUNT, found {self.axes}"
-            )
-        self._check_parts(self.demo)
+        if problem := self.problem(self.demo):
+            raise InvalidSceneError(f"{self.name}: {problem}")
 
     @property
     def has_two_horizons(self) -> bool:
@@ -86,20 +72,17 @@ class Task:
         )
 
     def axes_of(self, variant: str) -> Axis:
-        """The axes along which a variant differs from Demo.
+        """The axes along which a variant differs from Demo; `UnknownNameError` if it is lacking.
 
         TestAll changes everything that the task supports, and jitters poses only if they cannot be
         sampled freely (docs/specification.md, section 8).
-
-        Raises:
-            UnknownNameError: the task lacks the variant; the message lists those it has.
         """
         if variant not in self.variants:
-            known, close = ", ".join(self.variants), get_close_matches(str(variant), self.variants)
-            if variant in VARIANTS:
-                raise UnknownNameError(f"{self.name} has no variant {variant!r}; it has: {known}")
-            hint = f"; did you mean {close[0]!r}?" if close else ""
-            raise UnknownNameError(f"{variant!r} is not a variant; {self.name} has: {known}{hint}")
+            close = () if variant in VARIANTS else get_close_matches(str(variant), self.variants)
+            raise UnknownNameError(
+                f"{self.name} has no variant {variant!r}; it has: {', '.join(self.variants)}"
+                + (f"; did you mean {close[0]!r}?" if close else "")
+            )
         axes = VARIANTS[variant] & self.axes
         if variant == TEST_ALL and Axis.LAYOUT not in axes:
             return axes | self.axes & Axis.JITTER
@@ -108,15 +91,13 @@ class Task:
     def sample(self, variant: str, rng: np.random.Generator) -> tuple[Scene, Dynamics]:
         """Sample an episode's initial scene and dynamics.
 
-        Raises:
-            UnknownNameError: the task lacks the variant; the message lists those it has.
-            PlacementError: no room was found for a body, or no sampled scene fits the task.
+        Raises `UnknownNameError` if the task lacks the variant, `PlacementError` if no scene fits.
         """
         axes = self.axes_of(variant)
         for _ in range(MAX_SCENES):
             scene = self.randomise_fn(self.demo, axes, rng)
             scene = sample_placement(scene, axes, rng, self.placement)
-            if not (problem := self.validate_fn(scene)):
+            if not (problem := self.problem(scene)):
                 return scene, Dynamics.sample(rng) if Axis.DYNAMICS in axes else Dynamics()
         raise PlacementError(f"{self.name}, {variant}: none of {MAX_SCENES} scenes fits: {problem}")
 
@@ -132,22 +113,20 @@ class Task:
         """The English instruction for an episode that starts from `scene`."""
         return self.instruction_fn(scene) if self.instruction_fn else self.summary
 
+    def problem(self, scene: Scene) -> str:
+        """Why a scene does not fit the task, apart from overlaps; or an empty string."""
+        for what, found, least, most in (
+            ("blocks", len(scene.blocks), self.min_blocks, self.max_blocks),
+            ("regions", len(scene.regions), self.min_regions, self.max_regions),
+        ):
+            if found < least:
+                return f"expected at least {least} {what}, found {found}; add some"
+            if found > most:
+                return f"expected at most {most} {what}, found {found}; remove some"
+        return self.validate_fn(scene) or self.placement.problem(scene)
+
     def validate(self, scene: Scene) -> None:
-        """Check that an episode of this task can start from a scene.
-
-        Raises:
-            InvalidSceneError: it cannot; the message says why and what to change.
-        """
-        self._check_parts(scene)
-        validate_scene(scene)
-
-    def _check_parts(self, scene: Scene) -> None:
-        """As `validate`, except for overlaps, which need pymunk."""
-        found = len(scene.blocks), len(scene.regions)
-        if found[0] > self.max_blocks or found[1] > self.max_regions:
-            raise InvalidSceneError(
-                f"{self.name}: expected at most {self.max_blocks} blocks and {self.max_regions} "
-                f"regions, found {found[0]} and {found[1]}; remove some"
-            )
-        if problem := self.validate_fn(scene):
+        """Raise `InvalidSceneError`, with the reason, unless an episode can start from it."""
+        if problem := self.problem(scene):
             raise InvalidSceneError(f"{self.name}: {problem}")
+        validate_scene(scene)

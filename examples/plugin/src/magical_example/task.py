@@ -15,7 +15,7 @@ from magical.experts.planning import Move, MovePlan, Planner, Strategy
 from magical.experts.state_view import StateView
 from magical.scene import Block, Colour, Pose, Poses, Region, Scene, Shape
 from magical.tasks import Axis, Task
-from magical.tasks.attributes import sample_attributes
+from magical.tasks.axes import sample_attributes
 from magical.tasks.placement import Placement
 
 OUTSIDE = 0.75  # units up: where the expert puts the block

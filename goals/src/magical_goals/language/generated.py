@@ -20,8 +20,14 @@ from magical.scene import COLOURS, SHAPES, Block, Pose, Region, Scene
 from magical.scene.constants import STAR_OUTER_RADIUS, WORKSPACE_HALF
 from magical.scene.vocabulary import Corner, Landmark, Wall
 from magical.tasks import Task, TaskFamily
-from magical.tasks.attributes import cycle_blocks, sample_attributes, sample_count, sample_item
-from magical.tasks.axes import EVERYTHING, Axis
+from magical.tasks.axes import (
+    EVERYTHING,
+    Axis,
+    cycle_blocks,
+    sample_attributes,
+    sample_count,
+    sample_item,
+)
 from magical.tasks.placement import Placement, sample_placement
 from magical_goals.language import expressions as e
 from magical_goals.language import goals as g

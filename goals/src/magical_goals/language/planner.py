@@ -7,9 +7,9 @@ from functools import partial
 import numpy as np
 
 from magical.errors import NoExpertError
-from magical.experts.goals._clustering import cluster_planner
-from magical.experts.goals._moves import moves_in, moves_out, place_on_grid
+from magical.experts.goals.clustering import cluster_planner
 from magical.experts.goals.make_line import plan_line
+from magical.experts.goals.regions import moves_in, moves_out, place_on_grid
 from magical.experts.planning import Move, MovePlan, Planner, Strategy
 from magical.experts.state_view import StateView
 from magical.scene import Poses

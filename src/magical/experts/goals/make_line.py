@@ -12,8 +12,8 @@ from itertools import combinations, pairwise, permutations
 from typing import NamedTuple
 
 from magical.experts.geometry import BLOCK_SPACING, ROBOT_LIMIT, WORKING_DISTANCE
-from magical.experts.goals._moves import DISTANCE_COST, MOVE_COST
-from magical.experts.planning import Move, MovePlan, Planner, Strategy
+from magical.experts.goals.regions import DISTANCE_COST, MOVE_COST
+from magical.experts.planning import Move, MovePlan, Strategy
 from magical.experts.state_view import StateView
 from magical.scene.geometry import Point
 from magical.tasks.scoring import INLIER_DISTANCE, NEIGHBOUR_DISTANCE
@@ -57,12 +57,17 @@ def is_solved(view: StateView) -> bool:
 def plan_line(
     view: StateView, chosen: Sequence[int], strategy: Strategy, last: MovePlan
 ) -> MovePlan:
-    """As `plan`, for the chosen blocks only."""
+    """As `plan`, for the chosen blocks only; short moves have a smaller tolerance."""
     blocks, resting = [view.blocks[i] for i in chosen], [view.resting_blocks[i] for i in chosen]
     if is_line_made(blocks, resting):
         return MovePlan()
     places = _best_places(blocks, strategy, last.places)
-    return MovePlan(tuple(_moves(chosen, blocks, places)), places)
+    moves = [
+        Move(place, min(TOLERANCE, TOLERANCE_SHARE * math.dist(place, block)), i)
+        for i, place, block in zip(chosen, places, blocks, strict=True)
+        if place != block
+    ]
+    return MovePlan(tuple(moves), places)
 
 
 def is_line_made(blocks: Sequence[Point], resting: Sequence[Point]) -> bool:
@@ -70,14 +75,6 @@ def is_line_made(blocks: Sequence[Point], resting: Sequence[Point]) -> bool:
     if max(map(math.dist, blocks, resting)) > STILL:
         return is_line(resting, MOVING)
     return is_line(blocks, RESTING)
-
-
-def _moves(chosen: Sequence[int], blocks: Sequence[Point], places: Places) -> Iterator[Move]:
-    """Moves of the chosen blocks that do not stay; short moves have a smaller tolerance."""
-    for i, place, block in zip(chosen, places, blocks, strict=True):
-        if place != block:
-            share = TOLERANCE_SHARE * math.dist(place, block)
-            yield Move(place, min(TOLERANCE, share), i)
 
 
 def is_line(
@@ -122,17 +119,13 @@ def _best_places(blocks: Sequence[Point], strategy: Strategy, last: Places) -> P
 def _with_stayers(places: Places, blocks: Sequence[Point]) -> Places:
     """The same line, with the blocks that already fit into it left where they are."""
     for i in sorted(range(len(blocks)), key=lambda i: math.dist(places[i], blocks[i])):
+        others = (*places[:i], *places[i + 1 :])
         stayed = (*places[:i], blocks[i], *places[i + 1 :])
         moved = [place != block for place, block in zip(stayed, blocks, strict=True)]
-        if _has_room(stayed, i) and is_line(stayed, RESTING, moved):
+        has_room = all(math.dist(blocks[i], other) > BLOCK_SPACING for other in others)
+        if has_room and is_line(stayed, RESTING, moved):
             places = stayed
     return places
-
-
-def _has_room(places: Places, i: int) -> bool:
-    return all(
-        j == i or math.dist(places[i], place) > BLOCK_SPACING for j, place in enumerate(places)
-    )
 
 
 def _proposals(blocks: Sequence[Point]) -> Iterator[Places]:
@@ -183,7 +176,9 @@ def _through_two(blocks: Sequence[Point], i: int, j: int, gaps: int) -> Iterator
 
 def _cost(places: Places, blocks: Sequence[Point], strategy: Strategy) -> float:
     """Approximate control steps that a line takes, plus the cost of its direction."""
-    cost = _direction_cost(places, strategy)
+    (x0, y0), (x1, y1) = places[0], places[-1]
+    half_turns = math.atan2(y1 - y0, x1 - x0) % math.pi / math.pi
+    cost = PREFERENCE * strategy.placements[int(half_turns * DIRECTIONS) % DIRECTIONS]
     for i, (place, block) in enumerate(zip(places, blocks, strict=True)):
         cost += WALL_COST * max(0.0, abs(place[0]) - ROBOT_LIMIT, abs(place[1]) - ROBOT_LIMIT)
         if place != block:
@@ -201,14 +196,3 @@ def _missing_room(i: int, places: Places, blocks: Sequence[Point]) -> float:
             missing += max(0.0, WORKING_DISTANCE - math.dist(places[i], places[j]))
             missing += max(0.0, BLOCK_SPACING - math.dist(places[i], other))
     return missing
-
-
-def _direction_cost(places: Places, strategy: Strategy) -> float:
-    """Control steps that a line's direction costs under the strategy's preferences."""
-    (x0, y0), (x1, y1) = places[0], places[-1]
-    half_turns = math.atan2(y1 - y0, x1 - x0) % math.pi / math.pi
-    index = int(half_turns * DIRECTIONS) % DIRECTIONS
-    return PREFERENCE * strategy.placements[index]
-
-
-PLANNER = Planner(plan, is_solved)

@@ -7,22 +7,15 @@ that make room around enclosed blocks.
 """
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
+from functools import cached_property
 
 import numpy as np
 
-from magical.experts.geometry import (
-    BLOCK_SPACING,
-    DRIVING_CLEARANCE,
-    WORKING_DISTANCE,
-    Bools,
-    Floats,
-    Ints,
-    project_on_segments,
-)
-from magical.experts.goals._moves import DISTANCE_COST, MOVE_COST, place_costs
-from magical.experts.grasp import make_mutual_grasps
+from magical.experts import geometry as g
+from magical.experts.geometry import Bools, Floats, Ints
+from magical.experts.goals.regions import DISTANCE_COST, MOVE_COST, place_costs
+from magical.experts.grasp import Grasps, make_mutual_grasps
 from magical.experts.planning import Move, MovePlan, Planner, Strategy
 from magical.experts.state_view import StateView
 from magical.scene import Block
@@ -57,33 +50,112 @@ SWITCH_COST = 25.0  # by which a new anchor must be better; tuned
 
 _GRID = np.array([(x, y) for x in GRID for y in GRID])  # (anchors, 2)
 _ANGLES = 2 * math.pi * np.arange(RING_PLACES) / RING_PLACES
-_RING = BLOCK_SPACING * np.stack((np.cos(_ANGLES), np.sin(_ANGLES)), axis=-1)  # (ring places, 2)
+_RING = g.BLOCK_SPACING * np.stack((np.cos(_ANGLES), np.sin(_ANGLES)), axis=-1)  # (ring places, 2)
 
 
 ValueFn = Callable[[Block], str]
 
 
-@dataclass(frozen=True, slots=True)
-class ClusterLayout:
-    """Where n blocks come to rest, and their groups: the values of the clustered attribute."""
+def cluster_planner(value_of: ValueFn) -> Planner:
+    """The planner of a task that clusters blocks by a value, such as their colour."""
 
-    positions: Floats  # (n, 2)
-    group: Ints  # (n,) index of the block's group
-    values: Sequence[str]  # each block's value of the clustered attribute
+    def plan(view: StateView, strategy: Strategy, last: MovePlan) -> MovePlan:
+        layout = Layout(view, value_of)
+        if layout.is_clustered(SOLVED_RATIO if last.moves else LASTING_RATIO):
+            return MovePlan()
+        anchors, moved = _best(layout, strategy, last)
+        waits = np.minimum(ACCESS_FACTOR * layout.grasp_costs, MAX_ACCESS).tolist()
+        moves = [_move(layout, anchors, i, waits[i]) for i in np.flatnonzero(moved).tolist()]
+        return MovePlan(tuple(moves), tuple((x, y) for x, y in anchors.tolist()))
 
-    @staticmethod
-    def from_view(view: StateView, value_of: ValueFn) -> "ClusterLayout":
-        """The current blocks, grouped by their values."""
-        values = list(map(value_of, view.scene.blocks))
-        _, group = np.unique(values, return_inverse=True)
-        return ClusterLayout(np.array(view.resting_blocks), group, values)
+    def is_solved(view: StateView) -> bool:
+        return Layout(view, value_of).is_clustered(SOLVED_RATIO)
 
-    @property
-    def groups(self) -> int:
-        """The number of groups."""
-        return int(self.group.max()) + 1
+    return Planner(plan, is_solved)
 
-    def distance_ratios(self, positions: Floats) -> Floats:
+
+def _move(layout: "Layout", anchors: Floats, block: int, wait: float) -> Move:
+    """Bring a block to its anchor, or next to it if other blocks are there already."""
+    anchor, others = anchors[layout.group[block]], np.delete(layout.positions, block, axis=0)
+    places = np.concatenate((anchor[None], anchor + _RING))  # (1 + ring places, 2)
+    x, y = layout.positions[block]
+    cost = place_costs(places, (x, y), others)
+    cost[1:] += DISTANCE_COST * g.BLOCK_SPACING
+    x, y = places[cost.argmin()].tolist()
+    return Move((x, y), TOLERANCE, block, wait)
+
+
+def _best(layout: "Layout", strategy: Strategy, last: MovePlan) -> tuple[Floats, Bools]:
+    """Anchors (groups, 2), and which blocks move there (n,).
+
+    Choices of all anchors are sampled first; then each cluster's anchor is improved in turn.
+    """
+    options, preferences = _anchor_options(layout, strategy, last)
+    rng = np.random.default_rng(int(strategy.placements[-1] * 2**31))
+    picks = np.stack([rng.integers(len(own), size=CHOICES) for own in options], axis=1)
+    best = picks[0]
+    for group in (None, *range(len(options)), *range(len(options))):
+        if group is not None:  # all anchors of one cluster, with the others fixed
+            picks = np.repeat(best[None], len(options[group]), axis=0)
+            picks[:, group] = np.arange(len(options[group]))
+        anchors = np.stack([own[i] for own, i in zip(options, picks.T, strict=True)], axis=1)
+        cost, moves = layout.cheapest_moves(anchors)
+        for own, i in zip(preferences, picks.T, strict=True):
+            cost += own[i]
+        least = int(cost.argmin())
+        best, chosen, moved = picks[least], anchors[least], moves[least]
+    return chosen, layout.refine(chosen, moved)
+
+
+def _anchor_options(
+    layout: "Layout", strategy: Strategy, last: MovePlan
+) -> tuple[list[Floats], list[Floats]]:
+    """Each group's possible anchors (M, 2), and their preference costs (M,) in control steps.
+
+    They are the group's blocks, their centroid, the last plan's anchor, and free grid points. The
+    strategy has a preference for each group (modulo 4) and each ninth of the workspace.
+    """
+    distances = lengths(_GRID[:, None] - layout.positions)  # (grid points, n)
+    free = _GRID[distances.min(axis=1) > SEPARATION]
+    table = np.array(strategy.placements[:36]).reshape(4, 3, 3)
+    options, preferences = [], []
+    for group in range(layout.groups):
+        own = layout.positions[layout.group == group]
+        kept = [last.places[group]] if len(last.places) == layout.groups else []
+        anchors = np.concatenate((own, [own.mean(axis=0)], np.reshape(kept, (-1, 2)), free))
+        anchors = anchors.clip(-ANCHOR_LIMIT, ANCHOR_LIMIT)
+        column, row = np.floor((anchors + 1.0) * 1.5).astype(np.intp).clip(0, 2).T
+        cost = PREFERENCE * table[group % 4, column, row]
+        if kept:
+            cost[len(own) + 1] -= SWITCH_COST
+        options.append(anchors)
+        preferences.append(cost)
+    return options, preferences
+
+
+class Layout:
+    """Where n blocks come to rest, and what plans for them cost.
+
+    Plans are C choices of anchors (C, groups, 2) and moves (C, n).
+
+    Attributes:
+        positions: (n, 2).
+        values: each block's value of the clustered attribute.
+        group: (n,) index of the block's group, the blocks of one value.
+        groups: the number of groups.
+    """
+
+    def __init__(self, view: StateView, value_of: ValueFn) -> None:
+        self.values = list(map(value_of, view.scene.blocks))
+        self.positions = np.array(view.resting_blocks)
+        self.group: Ints = np.unique(self.values, return_inverse=True)[1]
+        self.groups = len(set(self.values))
+
+    def is_clustered(self, limit: float) -> bool:
+        """Whether all ratios of distances are below a limit, or there are fewer than two groups."""
+        return self.groups < 2 or bool(self._ratios(self.positions).max() < limit)
+
+    def _ratios(self, positions: Floats) -> Floats:
         """Ratios (..., n) of squared distances to own and nearest other centroid, at (..., n, 2).
 
         A block counts as correctly clustered below 1 / 3 (appendix A.2.7).
@@ -92,115 +164,22 @@ class ClusterLayout:
         ratios: Floats = own / np.maximum(other, 1e-6)
         return ratios
 
-    def is_clustered(self, limit: float) -> bool:
-        """Whether all ratios of distances are below a limit, or there are fewer than two groups."""
-        ratios = self.distance_ratios(self.positions)
-        return self.groups < 2 or bool(ratios.max() < limit)
+    @cached_property
+    def _grasps(self) -> Grasps:
+        return make_mutual_grasps(self.positions)
 
-
-def cluster_planner(value_of: ValueFn) -> Planner:
-    """The planner of a task that clusters blocks by a value, such as their colour."""
-
-    def plan(view: StateView, strategy: Strategy, last: MovePlan) -> MovePlan:
-        layout = ClusterLayout.from_view(view, value_of)
-        if layout.is_clustered(SOLVED_RATIO if last.moves else LASTING_RATIO):
-            return MovePlan()
-        pricing = Pricing(layout)
-        anchors, moved = _best(pricing, strategy, last)
-        waits = np.minimum(ACCESS_FACTOR * pricing.grasp_costs, MAX_ACCESS).tolist()
-        moves = [_move(layout, anchors, i, waits[i]) for i in np.flatnonzero(moved).tolist()]
-        return MovePlan(tuple(moves), tuple((x, y) for x, y in anchors.tolist()))
-
-    def is_solved(view: StateView) -> bool:
-        return ClusterLayout.from_view(view, value_of).is_clustered(SOLVED_RATIO)
-
-    return Planner(plan, is_solved)
-
-
-def _move(layout: ClusterLayout, anchors: Floats, block: int, wait: float) -> Move:
-    """Bring a block to its anchor, or next to it if other blocks are there already."""
-    anchor, others = anchors[layout.group[block]], np.delete(layout.positions, block, axis=0)
-    places = np.concatenate((anchor[None], anchor + _RING))  # (1 + ring places, 2)
-    x, y = layout.positions[block]
-    cost = place_costs(places, (x, y), others)
-    cost[1:] += DISTANCE_COST * BLOCK_SPACING
-    x, y = places[cost.argmin()].tolist()
-    return Move((x, y), TOLERANCE, block, wait)
-
-
-def _best(pricing: "Pricing", strategy: Strategy, last: MovePlan) -> tuple[Floats, Bools]:
-    """Anchors (groups, 2), and which blocks move there (n,).
-
-    Choices of all anchors are sampled first; then each cluster's anchor is improved in turn.
-    """
-    options, preferences = _anchor_options(pricing.layout, strategy, last)
-    rng = np.random.default_rng(int(strategy.placements[-1] * 2**31))
-    picks = np.stack([rng.integers(len(own), size=CHOICES) for own in options], axis=1)
-    best, moved = picks[0], np.zeros(len(pricing.layout.positions), dtype=np.bool_)
-    for group in (None, *range(len(options)), *range(len(options))):
-        if group is not None:  # all anchors of one cluster, with the others fixed
-            picks = np.repeat(best[None], len(options[group]), axis=0)
-            picks[:, group] = np.arange(len(options[group]))
-        anchors = np.stack([own[i] for own, i in zip(options, picks.T, strict=True)], axis=1)
-        cost, moves = pricing.cheapest_moves(anchors)
-        for own, i in zip(preferences, picks.T, strict=True):
-            cost += own[i]
-        least = int(cost.argmin())
-        best, moved = picks[least], moves[least]
-    chosen = np.array([own[i] for own, i in zip(options, best, strict=True)])
-    return chosen, pricing.refine(chosen, moved)
-
-
-def _anchor_options(
-    layout: ClusterLayout, strategy: Strategy, last: MovePlan
-) -> tuple[list[Floats], list[Floats]]:
-    """Each group's possible anchors (M, 2), and their preference costs (M,) in control steps.
-
-    They are the group's blocks, their centroid, the last plan's anchor, and free grid points.
-    """
-    distances = lengths(_GRID[:, None] - layout.positions)  # (grid points, n)
-    free = _GRID[distances.min(axis=1) > SEPARATION]
-    options, preferences = [], []
-    for group in range(layout.groups):
-        own = layout.positions[layout.group == group]
-        kept = [last.places[group]] if len(last.places) == layout.groups else []
-        anchors = np.concatenate((own, [own.mean(axis=0)], np.reshape(kept, (-1, 2)), free))
-        anchors = anchors.clip(-ANCHOR_LIMIT, ANCHOR_LIMIT)
-        cost = PREFERENCE * _preferences(strategy, group, anchors)
-        if kept:
-            cost[len(own) + 1] -= SWITCH_COST
-        options.append(anchors)
-        preferences.append(cost)
-    return options, preferences
-
-
-def _preferences(strategy: Strategy, group: int, anchors: Floats) -> Floats:
-    """How strongly (M,), from 0 to 1, the strategy disfavours anchors (M, 2) for a group.
-
-    It has one number for each group (modulo 4) and each ninth of the workspace.
-    """
-    column, row = np.floor((anchors + 1.0) * 1.5).astype(np.intp).clip(0, 2).T
-    table = np.array(strategy.placements[:36]).reshape(4, 3, 3)[group % 4]
-    preferences: Floats = table[column, row]
-    return preferences
-
-
-class Pricing:
-    """Prices plans for one layout: C choices of anchors (C, groups, 2) and moves (C, n).
-
-    Attributes:
-        layout: the current blocks.
-        grasp_costs: (n,) control steps that grasping each block costs among all others.
-        rank: (n,) each block's rank in ascending order of that cost.
-    """
-
-    def __init__(self, layout: ClusterLayout) -> None:
-        self.layout = layout
-        self._grasps = make_mutual_grasps(layout.positions)
+    @cached_property
+    def grasp_costs(self) -> Floats:
+        """Control steps (n,) that grasping each block costs among all others."""
         costs = self._grasps.wall_costs + self._grasps.block_costs.sum(axis=-1)
-        self.grasp_costs: Floats = costs.min(axis=1)
+        least: Floats = costs.min(axis=1)
+        return least
+
+    @cached_property
+    def rank(self) -> Ints:
+        """Each block's rank (n,) in ascending order of `grasp_costs`."""
         # Two blocks that hinder each other cost the same up to rounding, which must not decide.
-        self.rank: Ints = self.grasp_costs.round(6).argsort(kind="stable").argsort()
+        return self.grasp_costs.round(6).argsort(kind="stable").argsort()
 
     def cheapest_moves(self, anchors: Floats) -> tuple[Floats, Bools]:
         """The cost (C,) of each choice of anchors, and the moves (C, n) that give it."""
@@ -225,11 +204,11 @@ class Pricing:
 
     def _distances_to_anchors(self, anchors: Floats) -> Floats:
         """Each block's distance (C, n) to its group's anchor."""
-        return lengths(self.layout.positions - anchors[..., self.layout.group, :])
+        return lengths(self.positions - anchors[..., self.group, :])
 
     def _cost(self, anchors: Floats, moved: Bools, away: Floats) -> Floats:
         """Approximate control steps (C,) that plans take, plus the costs of misplaced blocks."""
-        before, after = self.layout.positions, self._positions_after(anchors, moved)
+        before, after = self.positions, self._positions_after(anchors, moved)
         near = lengths(after[..., :, None, :] - before)  # (C, n, n) from new to old positions
         time = MOVE_COST + DISTANCE_COST * away + self._access_cost(moved, near)
         crowding = np.minimum(self._crowding(after, near), MAX_CROWDING)
@@ -239,23 +218,22 @@ class Pricing:
 
     def _positions_after(self, anchors: Floats, moved: Bools) -> Floats:
         """Approximate positions (C, n, 2) of the blocks once the moves are made."""
-        target = anchors[..., self.layout.group, :]
-        offset = self.layout.positions - target
+        target = anchors[..., self.group, :]
+        offset = self.positions - target
         offset *= REST / np.maximum(lengths(offset), REST)[..., None]
-        return np.where(moved[..., None], target + offset, self.layout.positions)
+        return np.where(moved[..., None], target + offset, self.positions)
 
     def _misplaced(self, positions: Floats) -> Floats:
         """How many blocks (...) do not count at positions (..., n, 2), doubtful ones in part."""
-        ratios = self.layout.distance_ratios(positions)
-        doubt = (ratios - PLANNED_RATIO) / RATIO_RANGE
+        doubt = (self._ratios(positions) - PLANNED_RATIO) / RATIO_RANGE
         misplaced: Floats = doubt.clip(0.0, 1.0).sum(axis=-1)
         return misplaced
 
     def _access_cost(self, moved: Bools, near: Floats) -> Floats:
         """Costs (C, n) of grasping the blocks that move, the most accessible first."""
         earlier = self.rank[:, None] > self.rank
-        apart = lengths(self.layout.positions[:, None] - self.layout.positions)
-        least = np.maximum(apart + 0.1, WORKING_DISTANCE)
+        apart = lengths(self.positions[:, None] - self.positions)
+        least = np.maximum(apart + 0.1, g.WORKING_DISTANCE)
         gone = moved[..., None, :] & earlier & (near.swapaxes(-1, -2) > least)
         return np.minimum(ACCESS_FACTOR * self.grasp_costs_among(~gone), MAX_ACCESS)
 
@@ -271,10 +249,10 @@ class Pricing:
         missing = np.maximum(0.0, SEPARATION - apart)
         # Blocks that are to leave may not have left yet.
         missing += LEAVING_SHARE * np.maximum(0.0, SEPARATION - near)
-        before, group = self.layout.positions, self.layout.group
-        share, gap = project_on_segments(before[:, None], after[..., :, None, :], before)
+        before, group = self.positions, self.group
+        share, gap = g.project_on_segments(before[:, None], after[..., :, None, :], before)
         # A block does not obstruct itself, nor one that moves off from next to it.
-        narrow = np.where(share > 0.0, np.maximum(0.0, DRIVING_CLEARANCE - gap), 0.0)
+        narrow = np.where(share > 0.0, np.maximum(0.0, g.DRIVING_CLEARANCE - gap), 0.0)
         crowding = CROWDING_COST * missing * (group[:, None] != group) + BLOCKED_COST * narrow
         total: Floats = crowding.sum(axis=-1)
         return total
