@@ -26,7 +26,7 @@ from magical.errors import (
     ResetNeededError,
     UnknownNameError,
 )
-from magical.observe.arrays import copy_arrays
+from magical.observe.spec import copy_arrays
 from magical.scene import Block, Colour, Dynamics, Pose, Scene, Shape
 from magical.scene.actions import NUM_ACTIONS
 from magical.tasks import get_task, register_task, unregister_task

@@ -18,7 +18,7 @@ from magical.demos.reader import TrajectorySource
 from magical.envs.action_spec import Actions, ActionSpaceName, spec_of
 from magical.errors import DemonstrationsError, TrajectoryError
 from magical.observe import ObservationSpec
-from magical.observe.arrays import stack_indices
+from magical.observe.spec import stack_indices
 from magical.scene import NOOP
 from magical_baselines.augmentation.augment import augment
 from magical_baselines.augmentation.names import Augmentations
@@ -139,10 +139,10 @@ class ExpertData:
         sources = [TrajectorySource(trajectory) for trajectory in trajectories]
         self.frames: list[Tensor] = []
         self._stacks = []  # for each component: (S, frames + 1), indices of frames, oldest first
-        for component in spec.components:
-            frames = [component.read(source, np.arange(len(source) + 1)) for source in sources]
+        for single, count in spec.components:
+            frames = [single.read(source, np.arange(len(source) + 1)) for source in sources]
             self.frames.append(torch.from_numpy(np.concatenate(frames)).to(device))
-            parts = map(stack_indices, (s + 1 for s in steps), repeat(component.frames + 1))
+            parts = map(stack_indices, (s + 1 for s in steps), repeat(count + 1))
             stacks = np.concatenate([n + part for n, part in zip(first, parts, strict=True)])
             self._stacks.append(torch.from_numpy(stacks).to(device))
         labels = [t.labels[some] for t, some in zip(trajectories, steps, strict=True)]

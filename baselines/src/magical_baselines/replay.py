@@ -159,9 +159,9 @@ class ReplayBuffer:
         numbers = np.arange(self._stored, self._stored + len(observations))
         slots = torch.from_numpy(numbers % self._capacity).to(self._frames[0].device)
         last = 0
-        for frames, component in zip(self._frames, self._spec.components, strict=True):
+        for frames, (_, count) in zip(self._frames, self._spec.components, strict=True):
             channels = frames.shape[1]
-            last += component.frames * channels
+            last += count * channels
             newest = observations[:, last - channels : last].to(frames.device)
             frames.index_copy_(0, slots, newest)
         self._stored += len(observations)
@@ -170,8 +170,8 @@ class ReplayBuffer:
     def _stacks(self, windows: Numbers) -> Tensor:
         """Observations (B, ...) for the windows (B, frames)."""
         parts = []
-        for frames, component in zip(self._frames, self._spec.components, strict=True):
-            slots = windows[:, -component.frames :].reshape(-1) % self._capacity
+        for frames, (_, count) in zip(self._frames, self._spec.components, strict=True):
+            slots = windows[:, -count:].reshape(-1) % self._capacity
             found = frames.index_select(0, torch.from_numpy(slots).to(frames.device))
             parts.append(found.view(len(windows), -1, *frames.shape[2:]))
         return parts[0] if len(parts) == 1 else torch.cat(parts, dim=1)

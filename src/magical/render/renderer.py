@@ -14,7 +14,7 @@ from magical.render.kernel import FURTHEST, Pixels, frame_kernel, push, scratch,
 from magical.scene import constants as c
 from magical.scene.poses import FIRST_BLOCK, Poses
 from magical.scene.scene import Pose, Scene
-from magical.scene.vocabulary import View, parse_word
+from magical.scene.vocabulary import View, chosen_samples, parse_word
 
 CHANNELS = 3  # of a frame: red, green, blue
 STACKED = 12  # channels of the stacks that `push` shifts
@@ -28,23 +28,6 @@ class _Thread(threading.local):
 
 
 _thread = _Thread()
-
-
-def default_samples(size: int) -> int:
-    """Samples across a pixel: the fewest that make at least 384 across a frame, at most 4."""
-    return next((n for n in c.SAMPLES if n * size >= c.RAW_FRAME_SIZE), max(c.SAMPLES))
-
-
-def checked_samples(size: int, samples: int | None) -> int:
-    """The samples across a pixel, `default_samples` for None; raises `RenderError`."""
-    if isinstance(size, int) and 0 < size <= c.MAX_FRAME_SIZE and samples in (None, *c.SAMPLES):
-        chosen = default_samples(size) if samples is None else int(samples)  # no kernel takes float
-        if size * chosen <= c.MAX_SAMPLES_ACROSS:
-            return chosen
-    raise RenderError(
-        f"expected a size from 1 to {c.MAX_FRAME_SIZE} and samples among {c.SAMPLES}, together at "
-        f"most {c.MAX_SAMPLES_ACROSS} across a frame, found {quoted(size)} and {quoted(samples)}"
-    )
 
 
 class Renderer:
@@ -76,7 +59,7 @@ class Renderer:
     ) -> None:
         self.view = parse_word(View, view)
         self.size = size
-        self.samples = checked_samples(size, samples)
+        self.samples = chosen_samples(size, samples)
         self._kernel = frame_kernel(self.samples)
         self._scene = display_list(scene)
         self._count = FIRST_BLOCK + len(scene.blocks)

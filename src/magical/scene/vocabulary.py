@@ -3,8 +3,9 @@
 from enum import StrEnum
 from typing import Any, TypeVar
 
-from magical.errors import UnknownNameError
+from magical.errors import RenderError, UnknownNameError
 from magical.messages import quoted
+from magical.scene.constants import MAX_FRAME_SIZE, MAX_SAMPLES_ACROSS, RAW_FRAME_SIZE, SAMPLES
 
 
 class Shape(StrEnum):
@@ -73,3 +74,20 @@ def parse_word(kind: type[Word], value: Any) -> Word:
         raise UnknownNameError(
             f"{quoted(value)} is not a {kind.__name__.lower()}; expected one of: {known}"
         ) from None
+
+
+def default_samples(size: int) -> int:
+    """Samples across a pixel: the fewest that make at least 384 across a frame, at most 4."""
+    return next((n for n in SAMPLES if n * size >= RAW_FRAME_SIZE), max(SAMPLES))
+
+
+def chosen_samples(size: int, samples: int | None) -> int:
+    """The samples across a pixel, `default_samples` for None; raises `RenderError`."""
+    if isinstance(size, int) and 0 < size <= MAX_FRAME_SIZE and samples in (None, *SAMPLES):
+        chosen = default_samples(size) if samples is None else int(samples)  # no kernel takes float
+        if size * chosen <= MAX_SAMPLES_ACROSS:
+            return chosen
+    raise RenderError(
+        f"expected a size from 1 to {MAX_FRAME_SIZE} and samples among {SAMPLES}, together at "
+        f"most {MAX_SAMPLES_ACROSS} across a frame, found {quoted(size)} and {quoted(samples)}"
+    )
