@@ -1,4 +1,4 @@
-"""Pixel observations: stacks of rendered frames (appendix A.1; docs/specification.md, section 7)."""
+"""Pixel observations: stacks of rendered frames (docs/specification.md, section 7)."""
 
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
@@ -63,7 +63,7 @@ class PixelSpec(ObservationSpec):
     @property
     def space(self) -> spaces.Space[Any]:
         if self.separate:
-            return spaces.Dict({view: self._box(frames) for view, frames in self.parts})
+            return spaces.Dict({str(view): self._box(frames) for view, frames in self.parts})
         return self._box(self._stacked)
 
     def _box(self, frames: int) -> spaces.Box:

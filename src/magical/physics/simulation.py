@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from functools import cache
+from typing import Any, TypeVar
 
 import numpy as np
 import pymunk
@@ -9,7 +10,6 @@ import pymunk.autogeometry
 from numpy.typing import NDArray
 
 from magical.errors import InvalidSceneError
-from magical.physics.chipmunk import address
 from magical.scene import constants as c
 from magical.scene.geometry import Point, block_outline, finger_polygons, rotate
 from magical.scene.poses import Poses
@@ -18,6 +18,7 @@ from magical.scene.vocabulary import Shape
 
 ROBOT_GROUP = 1  # collision group shared by all shapes of the robot
 _ROW = np.zeros(1, np.int64)
+T = TypeVar("T")
 
 
 class Simulation:
@@ -42,21 +43,19 @@ class Simulation:
         space.collision_slop = c.COLLISION_SLOP
         add_walls(space)
         if scene.robot_first:
-            robot = add_robot(space, scene.robot, self.dynamics)
+            robot, driven = add_robot(space, scene.robot, self.dynamics)
         blocks = [
-            add_block(space, block, self.dynamics, group=ROBOT_GROUP + 1 + i)
-            for i, block in enumerate(scene.blocks)
+            add_block(space, block, self.dynamics, group)
+            for group, block in enumerate(scene.blocks, ROBOT_GROUP + 1)
         ]
         if not scene.robot_first:
-            robot = add_robot(space, scene.robot, self.dynamics)
-        body, control, gear, fingers, motors, eyes = robot
-        self._bodies = [body, *fingers, *eyes, *blocks]
-        parts = (space, body, control, gear, *fingers, *motors)
-        self.robot = np.array([address(part) for part in parts])
-        turns = np.array([address(each) for each in self._bodies])
-        places = turns.copy()
-        places[3:5] = turns[0]  # eyes have no position of their own
-        self.places = np.stack([places, turns], axis=1)
+            robot, driven = add_robot(space, scene.robot, self.dynamics)
+        self._bodies = [*robot, *blocks]
+        self.robot = np.array([substeps.address(part) for part in (space, *driven)])
+        turns = np.array([substeps.address(each) for each in self._bodies])
+        positions = turns.copy()
+        positions[3:5] = turns[0]  # eyes have no position of their own
+        self.places = np.stack([positions, turns], axis=1)
         self._only_row = _ROW, self.robot[None], self.places[None]
 
     def step(self, action: Sequence[float] | NDArray[np.float64]) -> NDArray[np.float64]:
@@ -69,8 +68,7 @@ class Simulation:
             What `read` returns.
         """
         out = np.empty((1, len(self._bodies), 6))
-        actions = np.array([action], np.float64)
-        self._kernels.step_rows(*self._only_row, actions, out)
+        self._kernels.step_rows(*self._only_row, np.array([action], np.float64), out)
         bodies: NDArray[np.float64] = out[0]
         return bodies
 
@@ -112,41 +110,40 @@ class Simulation:
             body.velocity, body.angular_velocity = (velocity_x, velocity_y), spin
 
 
+def _set(part: T, **attributes: object) -> T:
+    """A body, a shape or a joint, with attributes set."""
+    for name, value in attributes.items():
+        setattr(part, name, value)
+    return part
+
+
 def add_walls(space: pymunk.Space) -> None:
     """Add four static segments around the workspace."""
     far = c.WORKSPACE_HALF + c.WALL_DISTANCE
     corners = ((-far, far), (far, far), (far, -far), (-far, -far))
     for start, end in zip(corners, corners[1:] + corners[:1], strict=True):
         wall = pymunk.Segment(space.static_body, start, end, c.WALL_RADIUS)
-        wall.friction = c.WALL_FRICTION
-        space.add(wall)
+        space.add(_set(wall, friction=c.WALL_FRICTION))
 
 
 def add_block(space: pymunk.Space, block: Block, dynamics: Dynamics, group: int) -> pymunk.Body:
     """Add one block with its surface drag; `group` is a collision group for it alone."""
-    body = _block_body(block.shape)
+    moment = pymunk.moment_for_circle(c.BLOCK_MASS, 0, c.BLOCK_SIZE)
+    if block.shape != Shape.CIRCLE:
+        outline = block_outline(block.shape)
+        hull = outline[::2] if block.shape == Shape.STAR else outline  # a star's outer vertices
+        moment = pymunk.moment_for_poly(c.BLOCK_MASS, hull)
+    body = _set(pymunk.Body(c.BLOCK_MASS, moment), position=block.pose[:2], angle=block.pose.angle)
     shapes = block_shapes(body, block.shape)
-    body.position, body.angle = block.pose[:2], block.pose.angle
     for shape in shapes:
-        shape.friction = c.BLOCK_FRICTION
-        shape.filter = pymunk.ShapeFilter(group=group)
-    pivot = pymunk.PivotJoint(space.static_body, body, (0, 0), (0, 0))
-    pivot.max_bias = 0
-    pivot.max_force = dynamics.block_pivot_max_force
-    gear = pymunk.GearJoint(space.static_body, body, 0.0, 1.0)
-    gear.max_bias = 0
-    gear.max_force = dynamics.block_gear_max_force
+        _set(shape, friction=c.BLOCK_FRICTION, filter=pymunk.ShapeFilter(group=group))
+    ground = space.static_body
+    pivot = pymunk.PivotJoint(ground, body, (0, 0), (0, 0))
+    gear = pymunk.GearJoint(ground, body, 0.0, 1.0)
+    _set(pivot, max_bias=0, max_force=dynamics.block_pivot_max_force)
+    _set(gear, max_bias=0, max_force=dynamics.block_gear_max_force)
     space.add(body, *shapes, pivot, gear)
     return body
-
-
-def _block_body(shape: Shape) -> pymunk.Body:
-    mass = c.BLOCK_MASS
-    if shape == Shape.CIRCLE:
-        return pymunk.Body(mass, pymunk.moment_for_circle(mass, 0, c.BLOCK_SIZE))
-    outline = block_outline(shape)
-    hull = outline[::2] if shape == Shape.STAR else outline  # for a star, the outer vertices
-    return pymunk.Body(mass, pymunk.moment_for_poly(mass, hull))
 
 
 def block_shapes(body: pymunk.Body, shape: Shape) -> list[pymunk.Shape]:
@@ -168,64 +165,41 @@ def _star_parts() -> list[list[pymunk.Vec2d]]:
 
 def add_robot(
     space: pymunk.Space, pose: Pose, dynamics: Dynamics
-) -> tuple[
-    pymunk.Body,
-    pymunk.Body,
-    pymunk.GearJoint,
-    list[pymunk.Body],
-    list[pymunk.SimpleMotor],
-    list[pymunk.Body],
-]:
+) -> tuple[list[pymunk.Body], list[Any]]:
     """Add the robot.
 
     Returns:
-        Its body, its control body, the gear joint between them, both fingers, their motors, both
-        eyes.
+        Its body, both fingers, both eyes; and what `substeps.step_rows` needs: its body, its
+        control body, the gear joint between them, both fingers, their motors.
     """
     moment = pymunk.moment_for_circle(c.ROBOT_MASS, 0, c.ROBOT_RADIUS)
-    body = pymunk.Body(c.ROBOT_MASS, moment)
-    body.position, body.angle = pose[:2], pose.angle
-    space.add(body)
-    control, gear = _add_drive(space, body, pose, dynamics)
-    eyes = [_add_eye(space, body, pose) for _ in c.SIDES]
+    at_pose = {"position": pose[:2], "angle": pose.angle}
+    body = _set(pymunk.Body(c.ROBOT_MASS, moment), **at_pose)
+    control = _set(pymunk.Body(body_type=pymunk.Body.KINEMATIC), **at_pose)
+    pivot = pymunk.PivotJoint(control, body, (0, 0), (0, 0))
+    gear = pymunk.GearJoint(control, body, 0.0, 1.0)
+    _set(pivot, max_bias=0, max_force=dynamics.body_pivot_max_force)
+    _set(gear, error_bias=0, max_bias=c.TURN_MAX_BIAS, max_force=dynamics.body_gear_max_force)
+    space.add(body, control, pivot, gear)
+    eyes = []
+    for _ in c.SIDES:
+        eye = pymunk.Body(c.EYE_MASS, pymunk.moment_for_circle(c.EYE_MASS, 0, c.ROBOT_RADIUS))
+        # The spring's max_force stays unlimited: a limit changes how the robot turns.
+        stiffness, damping = c.EYE_SPRING_STIFFNESS, c.EYE_SPRING_DAMPING
+        spring = pymunk.DampedRotarySpring(body, eye, 0, stiffness, damping)
+        space.add(_set(eye, **at_pose), spring)
+        eyes.append(eye)
     fingers, motors = zip(
         *(_add_finger(space, body, side, pose, dynamics) for side in c.SIDES), strict=True
     )
     shapes: list[pymunk.Shape] = [pymunk.Circle(body, c.ROBOT_RADIUS)]
     shapes[0].friction = c.ROBOT_FRICTION
     for finger, side in zip(fingers, c.SIDES, strict=True):
-        for polygon in finger_polygons(side):
-            shapes.append(pymunk.Poly(finger, polygon))
-            shapes[-1].friction = c.FINGER_FRICTION
+        polygons = [pymunk.Poly(finger, polygon) for polygon in finger_polygons(side)]
+        shapes += [_set(polygon, friction=c.FINGER_FRICTION) for polygon in polygons]
     for shape in shapes:
-        shape.filter = pymunk.ShapeFilter(group=ROBOT_GROUP)
-        space.add(shape)
-    return body, control, gear, list(fingers), list(motors), eyes
-
-
-def _add_drive(
-    space: pymunk.Space, body: pymunk.Body, pose: Pose, dynamics: Dynamics
-) -> tuple[pymunk.Body, pymunk.GearJoint]:
-    control = pymunk.Body(body_type=pymunk.Body.KINEMATIC)
-    control.position, control.angle = pose[:2], pose.angle
-    pivot = pymunk.PivotJoint(control, body, (0, 0), (0, 0))
-    pivot.max_bias = 0
-    pivot.max_force = dynamics.body_pivot_max_force
-    gear = pymunk.GearJoint(control, body, 0.0, 1.0)
-    gear.error_bias = 0
-    gear.max_bias = c.TURN_MAX_BIAS
-    gear.max_force = dynamics.body_gear_max_force
-    space.add(control, pivot, gear)
-    return control, gear
-
-
-def _add_eye(space: pymunk.Space, body: pymunk.Body, pose: Pose) -> pymunk.Body:
-    # The spring's max_force stays unlimited: a limit changes how the robot turns.
-    eye = pymunk.Body(c.EYE_MASS, pymunk.moment_for_circle(c.EYE_MASS, 0, c.ROBOT_RADIUS))
-    eye.position, eye.angle = pose[:2], pose.angle
-    spring = pymunk.DampedRotarySpring(body, eye, 0, c.EYE_SPRING_STIFFNESS, c.EYE_SPRING_DAMPING)
-    space.add(eye, spring)
-    return eye
+        space.add(_set(shape, filter=pymunk.ShapeFilter(group=ROBOT_GROUP)))
+    return [body, *fingers, *eyes], [body, control, gear, *fingers, *motors]
 
 
 def _add_finger(
@@ -240,14 +214,11 @@ def _add_finger(
     finger.angle = pose.angle - side * c.FINGER_OPEN
     # A pin joint of zero length, as published; a pivot joint grips visibly differently.
     pin = pymunk.PinJoint(body, finger, root, (0, 0))
-    pin.error_bias = 0
     limits = (0.0, c.FINGER_OPEN) if side < 0 else (-c.FINGER_OPEN, 0.0)
     limit = pymunk.RotaryLimitJoint(body, finger, *limits)
-    limit.error_bias = 0
     motor = pymunk.SimpleMotor(body, finger, 0)
-    motor.max_bias = 0
-    motor.max_force = dynamics.finger_motor_max_force
-    space.add(finger, pin, limit, motor)
+    _set(motor, max_bias=0, max_force=dynamics.finger_motor_max_force)
+    space.add(finger, _set(pin, error_bias=0), _set(limit, error_bias=0), motor)
     return finger, motor
 
 
@@ -255,21 +226,6 @@ def _add_finger(
 # or above 2**-16 units. For others the direction is rounded to about one part in 4096, which
 # matters less than a longer pin.
 _MAX_POWER = 12
-
-
-def published_error(root: Point, pose: Pose) -> Point:
-    """The vector between a pin joint's anchors at the start, as pymunk 5.6.0 computes it.
-
-    Args:
-        root: where the finger is attached, in the robot's frame.
-        pose: the robot's pose.
-
-    Returns:
-        The rounding error of `pose` + rotated `root`, some 1e-17 units; often 0 in a coordinate.
-    """
-    root_x, root_y = rotate(root, pose.angle)
-    finger_x, finger_y = pose.x + root_x, pose.y + root_y
-    return (finger_x - pose.x) - root_x, (finger_y - pose.y) - root_y
 
 
 def finger_position(body: pymunk.Body, root: Point, pose: Pose) -> Point:
@@ -286,12 +242,12 @@ def finger_position(body: pymunk.Body, root: Point, pose: Pose) -> Point:
 
         ((finger - robot) + 0) - root
 
-    which is the rounding error of robot + root. Its direction decides how the robot starts to move;
-    the first step differs by some 1e-4 units. Here the finger is displaced by a power of two times
-    that error, which gives the first expression the published direction to the last bit. The
-    smallest power that is a whole number of spacings of floating-point numbers at the finger is
-    used, because the effect of the pin's length, which the published one lacks, grows with it. A
-    pin joint made afterwards takes the displacement as its length and is at rest.
+    which is the rounding error of robot + root, some 1e-17 units. Its direction decides how the
+    robot starts to move; the first step differs by some 1e-4 units. Here the finger is displaced by
+    a power of two times that error, which gives the first expression the published direction to the
+    last bit. The smallest power that is a whole number of spacings of floating-point numbers at the
+    finger is used, because the effect of the pin's length, which the published one lacks, grows
+    with it. A pin joint made afterwards takes the displacement as its length and is at rest.
 
     Args:
         body: the robot's, already at `pose`.
@@ -299,7 +255,9 @@ def finger_position(body: pymunk.Body, root: Point, pose: Pose) -> Point:
         pose: the robot's pose.
     """
     x, y = body.local_to_world(root)  # as Chipmunk computes it, which is what the pin subtracts
-    error_x, error_y = published_error(root, pose)
+    root_x, root_y = rotate(root, pose.angle)
+    error_x = ((pose.x + root_x) - pose.x) - root_x
+    error_y = ((pose.y + root_y) - pose.y) - root_y
     for power in range(_MAX_POWER + 1):
         step_x, step_y = 2**power * error_x, 2**power * error_y
         start = x + step_x, y + step_y
