@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from magical.errors import InvalidSceneError
 from magical.physics import Simulation
 from magical.scene import Block, Colour, Dynamics, Pose, Poses, Scene, Shape
 from magical.scene.actions import POINTS
@@ -57,15 +56,6 @@ def test_the_robot_cannot_leave_through_a_wall() -> None:
     for _ in range(40):
         bodies = simulation.step((1.0, 0.0, -1.0))
     assert bodies[0, 1] < 0.85
-
-
-def test_states_that_the_solver_cannot_be_given() -> None:
-    simulation = Simulation(SCENE)
-    for value in (np.nan, np.inf, -1e308):
-        bodies = simulation.read()
-        bodies[6, 4] = value
-        with pytest.raises(InvalidSceneError, match="up to 1000"):
-            simulation.write(bodies)
 
 
 def test_the_strongest_and_weakest_forces_and_the_furthest_poses_stay_finite() -> None:

@@ -55,7 +55,7 @@ def load(path: Path | str) -> dict[str, list[SceneRow]]:
             parse_env_id(env)
             for row in filter(None, rows):
                 scene_of(row)
-                Dynamics.from_dict(row["dynamics"])
+                Dynamics(*row["dynamics"])
                 _coordinates([row])
                 _categories(parse_env_id(env).task, [row])
     return recorded

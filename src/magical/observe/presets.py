@@ -14,7 +14,7 @@ from magical.observe.spec import ObservationSpec
 from magical.observe.state_vector import STATE, StateSpec
 from magical.plugins import is_plugin, load_plugin, plugins
 from magical.scene.constants import RAW_FRAME_SIZE
-from magical.scene.vocabulary import View
+from magical.scene.scene import View
 from magical.tasks import Task
 from magical.untrusted import parse_json
 

@@ -23,8 +23,7 @@ from magical.errors import InvalidSceneError
 from magical.observe.spec import EpisodeSource, ObservationSpec, checked
 from magical.scene.constants import WORKSPACE_HALF
 from magical.scene.poses import FINGERS, FIRST_BLOCK, ROBOT
-from magical.scene.scene import Scene
-from magical.scene.vocabulary import COLOURS, SHAPES
+from magical.scene.scene import COLOURS, SHAPES, Scene
 
 STATE = "state"  # the name of this observation
 

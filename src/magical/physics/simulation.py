@@ -9,12 +9,10 @@ import pymunk
 import pymunk.autogeometry
 from numpy.typing import NDArray
 
-from magical.errors import InvalidSceneError
 from magical.scene import constants as c
 from magical.scene.geometry import Point, block_outline, finger_polygons, rotate
 from magical.scene.poses import Poses
-from magical.scene.scene import Block, Dynamics, Pose, Scene
-from magical.scene.vocabulary import Shape
+from magical.scene.scene import Block, Dynamics, Pose, Scene, Shape
 
 ROBOT_GROUP = 1  # collision group shared by all shapes of the robot
 _ROW = np.zeros(1, np.int64)
@@ -59,13 +57,10 @@ class Simulation:
         self._only_row = _ROW, self.robot[None], self.places[None]
 
     def step(self, action: Sequence[float] | NDArray[np.float64]) -> NDArray[np.float64]:
-        """Advance by one control step of 1/8 s.
+        """Advance by one control step of 1/8 s; returns what `read` returns.
 
         Args:
             action: drive, turn and grip, each from -1 to 1; not checked here.
-
-        Returns:
-            What `read` returns.
         """
         out = np.empty((1, len(self._bodies), 6))
         self._kernels.step_rows(*self._only_row, np.array([action], np.float64), out)
@@ -73,12 +68,10 @@ class Simulation:
         return bodies
 
     def read(self) -> NDArray[np.float64]:
-        """Pose and velocity of every body.
+        """Pose and velocity of every body, a new array (5 + number of blocks, 6).
 
-        Returns:
-            A new array (5 + number of blocks, 6) in the rows of `Poses`: x, y, angle and their
-            velocities, in units, radians and seconds. Eyes have no position of their own; theirs
-            is the robot's.
+        In the rows of `Poses`: x, y, angle and their velocities, in units, radians and seconds. The
+        eyes' positions are the robot's.
         """
         out = np.empty((len(self._bodies), 6))
         self._kernels.read_one(self.places, out)
@@ -95,15 +88,8 @@ class Simulation:
 
         Args:
             bodies: (5 + number of blocks, 6), as `read` returns it; the eyes' positions have
-                no effect.
-
-        Raises `InvalidSceneError` for a value that is not finite or beyond `MAX_COORDINATE`.
+                no effect. The solver needs finite numbers up to `MAX_COORDINATE`.
         """
-        furthest = np.abs(bodies).max()
-        if not furthest <= c.MAX_COORDINATE:  # also true for NaN
-            raise InvalidSceneError(
-                f"poses: expected finite numbers up to {c.MAX_COORDINATE:g}, found {furthest:g}"
-            )
         for body, row in zip(self._bodies, bodies.tolist(), strict=True):
             x, y, angle, velocity_x, velocity_y, spin = row
             body.position, body.angle = (x, y), angle
@@ -231,6 +217,8 @@ _MAX_POWER = 12
 def finger_position(body: pymunk.Body, root: Point, pose: Pose) -> Point:
     """The initial position of a finger: its root in the workspace, displaced by some 1e-15 units.
 
+    `body` is the robot's, already at `pose`, `root` where the finger is attached, in its frame.
+
     A pin joint pulls along the line between its anchors. A finger hangs on a pin of zero length, so
     initially this line is a rounding error, normalised. Chipmunk computes it (cpPinJoint.c) as
 
@@ -248,11 +236,6 @@ def finger_position(body: pymunk.Body, root: Point, pose: Pose) -> Point:
     last bit. The smallest power that is a whole number of spacings of floating-point numbers at the
     finger is used, because the effect of the pin's length, which the published one lacks, grows
     with it. A pin joint made afterwards takes the displacement as its length and is at rest.
-
-    Args:
-        body: the robot's, already at `pose`.
-        root: where the finger is attached, in the robot's frame.
-        pose: the robot's pose.
     """
     x, y = body.local_to_world(root)  # as Chipmunk computes it, which is what the pin subtracts
     root_x, root_y = rotate(root, pose.angle)

@@ -23,8 +23,7 @@ from magical.scene.geometry import (
     star_polygon,
 )
 from magical.scene.poses import EYES, FINGERS, FIRST_BLOCK, ROBOT
-from magical.scene.scene import Block, Scene
-from magical.scene.vocabulary import Shape
+from magical.scene.scene import Block, Scene, Shape
 
 BLOCK_INSET = 0.015  # units: width of a block's outline
 ROBOT_INSET = 0.01  # units: width of the robot's outline

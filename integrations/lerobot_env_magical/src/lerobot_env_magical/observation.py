@@ -12,8 +12,7 @@ from magical.errors import ObservationError
 from magical.observe import ObservationSpec, PixelSpec
 from magical.observe.spec import EpisodeSource, select
 from magical.scene.poses import FINGERS, ROBOT
-from magical.scene.scene import Scene
-from magical.scene.vocabulary import View
+from magical.scene.scene import Scene, View
 
 VIEWS = (View.ALLO, View.EGO)
 ROBOT_STATE = "agent_pos"  # the key
