@@ -77,24 +77,15 @@ class Renderer:
         Raises:
             RenderError: shapes or types do not match, or a pose is not finite or out of range.
         """
-        self._check(out, CHANNELS)
-        write(self._draw(bodies), out)
+        write(self._draw(bodies, out, CHANNELS), out)
 
     def render_stacked(self, bodies: NDArray[np.float64], stack: Image) -> None:
         """Shift a stack by one frame and render the newest into its last three channels.
 
-        Args:
-            bodies: as for `render`.
-            stack: (size, size, 3 * frames) uint8, oldest first, any layout.
-
-        Raises:
-            RenderError: shapes or types do not match, or a pose is not finite or out of range.
+        As `render`; the stack is (size, size, 3 * frames) uint8, oldest first, of any layout.
         """
         channels = stack.shape[-1]
-        self._check(stack, channels)
-        if channels % CHANNELS or not channels:
-            raise RenderError(f"expected a stack of whole frames, found {channels} channels")
-        pixels = self._draw(bodies)
+        pixels = self._draw(bodies, stack, max(channels - channels % CHANNELS, CHANNELS))
         if channels == STACKED and stack.flags.c_contiguous:
             words = stack.view("<u4").reshape(self.size, -1)
             if words.flags.aligned:
@@ -103,20 +94,17 @@ class Renderer:
         shift_stack(stack)
         write(pixels, stack[:, :, -CHANNELS:])
 
-    def _check(self, out: Image, channels: int) -> None:
+    def _draw(self, bodies: NDArray[np.float64], out: Image, channels: int) -> Pixels:
         shape = (self.size, self.size, channels)
         if out.shape != shape or out.dtype.char != "B" or not out.flags.writeable:
             raise RenderError(
                 f"expected a writeable array {shape} of uint8 to render into, found "
                 f"{out.shape} of {out.dtype}{'' if out.flags.writeable else ', read-only'}"
             )
-
-    def _draw(self, bodies: NDArray[np.float64]) -> Pixels:
-        shape = bodies.shape
-        if len(shape) != 2 or shape[0] != self._count or shape[1] < 3:
+        if bodies.ndim != 2 or bodies.shape[0] != self._count or bodies.shape[1] < 3:
             raise RenderError(
                 f"expected the poses (x, y, angle) of {self._count} bodies, five of the robot's "
-                f"and one for each block, found an array {shape}"
+                f"and one for each block, found an array {bodies.shape}"
             )
         pixels, ground, tiles, *memory = _thread.scratch(*self._key)
         kept, fresh = pixels, not self._ground
