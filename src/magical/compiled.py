@@ -47,18 +47,20 @@ def c_function(name: str, address: int, *arguments: Any) -> Any:
     return numba.types.ExternalFunction(f"magical_{name}", numba.types.void(*arguments))
 
 
-@intrinsic
-def floats_at(_: Any, address: Any) -> Any:
-    """The float64 numbers in memory from an address on, by index."""
+def _floats_at(_: Any, address: Any) -> Any:
     pointer = llvmlite.ir.DoubleType().as_pointer()
     signature = numba.types.CPointer(FLOAT)(address)
     return signature, lambda _, builder, __, given: builder.inttoptr(given[0], pointer)
 
 
-@intrinsic
-def bit_count(_: Any, word: Any) -> Any:
-    """How many bits of an integer are 1: one machine instruction, for which numba has no name."""
+def _bit_count(_: Any, word: Any) -> Any:
     return word(word), lambda _, builder, __, given: builder.ctpop(given[0])
+
+
+# The float64 numbers in memory from an address on, by index. And how many bits of an integer are 1:
+# one machine instruction, for which numba has no name.
+floats_at: Any = intrinsic(_floats_at)
+bit_count: Any = intrinsic(_bit_count)
 
 
 @cache

@@ -20,7 +20,7 @@ SCENE = Scene(
 
 
 @pytest.mark.parametrize("robot_first", [False, True])
-def test_initial_poses_are_the_scenes(robot_first: bool) -> None:
+def test_initial_poses_are_the_scenes_and_finger_moments_the_published(robot_first: bool) -> None:
     scene = Scene(SCENE.robot, SCENE.blocks, robot_first=robot_first)
     simulation = Simulation(scene)
     found, expected = simulation.read()[:, :3], Poses.at_rest(scene).bodies
@@ -29,12 +29,8 @@ def test_initial_poses_are_the_scenes(robot_first: bool) -> None:
     found[FINGERS, :2] = expected[FINGERS, :2]
     assert np.array_equal(found, expected)
     assert not simulation.read()[:, 3:].any()
-
-
-def test_finger_moments_are_the_published_ones() -> None:
-    left, right = Simulation(SCENE)._bodies[FINGERS]
-    assert left.moment == pytest.approx(0.005006, abs=5e-7)
-    assert right.moment == pytest.approx(0.004983, abs=5e-7)
+    moments = [finger.moment for finger in simulation._bodies[FINGERS]]
+    assert moments == pytest.approx([0.005006, 0.004983], abs=5e-7)
 
 
 @pytest.mark.parametrize("field", Dynamics().to_dict())

@@ -14,8 +14,6 @@ from magical.physics import Simulation, substeps
 from magical.scene import constants as c
 from magical.scene.actions import POINTS
 from magical.tasks import TASKS
-from tests.reference import motions
-from tests.reference.recordings import DATA
 
 STEPS = 200  # of every task; many start where robot and blocks touch walls or each other
 Points = Any  # (T, 3): drive, turn, grip
@@ -74,12 +72,6 @@ def test_random_motions_are_the_plain_loops_to_the_last_bit(name: str) -> None:
         start = TASKS[name].sample(variant, np.random.default_rng(seed))
         points = random_points(seed)
         assert np.array_equal(history(Simulation(*start), points), history(Plain(*start), points))
-
-
-def test_recorded_motions_are_the_plain_loops_to_the_last_bit() -> None:
-    for motion in motions.load(DATA / "motions.json").values():
-        scene, points = motions._scene(motion), np.array(POINTS)[motion["actions"]]
-        assert np.array_equal(history(Simulation(scene), points), history(Plain(scene), points))
 
 
 def test_simulations_that_are_stepped_together_move_as_alone() -> None:
