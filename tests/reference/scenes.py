@@ -158,12 +158,10 @@ def _coordinates(rows: Sequence[SceneRow]) -> dict[str, list[float]]:
         for i, value in enumerate(row["dynamics"]):
             found.setdefault(f"dynamics {i}", []).append(value)
         if len(row["blocks"]) > 1:
-            found.setdefault("closest blocks", []).append(_closest(row["blocks"]))
+            pairs = combinations(row["blocks"], 2)
+            closest = min(float(np.hypot(a[2] - b[2], a[3] - b[3])) for a, b in pairs)
+            found.setdefault("closest blocks", []).append(closest)
     return found
-
-
-def _closest(blocks: Sequence[Sequence[Any]]) -> float:
-    return min(float(np.hypot(a[2] - b[2], a[3] - b[3])) for a, b in combinations(blocks, 2))
 
 
 def _categories(task: str, rows: Sequence[SceneRow]) -> dict[str, list[str]]:
