@@ -1,5 +1,6 @@
 """Pixel observations: stacks of rendered frames (docs/specification.md, section 7)."""
 
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -49,13 +50,17 @@ class PixelSpec(ObservationSpec):
     channels_first: bool = False
 
     def __post_init__(self) -> None:
-        parts = tuple((parse_word(View, view), frames) for view, frames in self.parts)
+        given: Any = self.parts
+        parts: tuple[tuple[View, int], ...] = ()
+        with suppress(TypeError):  # not pairs
+            if all(len(part) == 2 for part in given):
+                parts = tuple((parse_word(View, view), frames) for view, frames in given)
         object.__setattr__(self, "parts", parts)
         counts = [n for _, n in parts if isinstance(n, int) and 0 < n <= MAX_FRAMES]
         if not 0 < len(counts) == len(parts) == len(dict(parts)):
             raise ObservationError(
                 f"parts: expected each view once, with 1 to {MAX_FRAMES} frames, "
-                f"found {quoted(self.parts)}"
+                f"found {quoted(given)}"
             )
         chosen_samples(self.size, self.samples)
 

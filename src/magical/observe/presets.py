@@ -85,8 +85,11 @@ def parse_spec(text: str, task: Task) -> ObservationSpec:
     """
     if text.startswith("{"):
         return parse_json(text, PixelSpec, "observation", UnknownNameError)
-    if ":" in text:
-        raise UnknownNameError(f"observation {quoted(text)}: expected a name, found module:NAME")
+    known = (*PRESETS, "raw", STATE, *plugins(GROUP))
+    if text not in known:
+        raise UnknownNameError(
+            f"observation {quoted(text)} is unknown here; expected one of {', '.join(known)}"
+        )
     return make_spec(text, task)
 
 

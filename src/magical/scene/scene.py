@@ -271,7 +271,8 @@ def default_samples(size: int) -> int:
 
 def chosen_samples(size: int, samples: int | None) -> int:
     """The samples across a pixel, `default_samples` for None; raises `RenderError`."""
-    if isinstance(size, int) and 0 < size <= c.MAX_FRAME_SIZE and samples in (None, *c.SAMPLES):
+    numbers = isinstance(size, int) and samples in (None, *c.SAMPLES)
+    if numbers and bool not in (type(size), type(samples)) and 0 < size <= c.MAX_FRAME_SIZE:
         chosen = default_samples(size) if samples is None else int(samples)  # no kernel takes float
         if size * chosen <= c.MAX_SAMPLES_ACROSS:
             return chosen
