@@ -113,7 +113,7 @@ class Renderer:
         elif not self._ego:
             kept = np.empty_like(pixels)
         how = self.size, self._ego, fresh, self._whole, kept, pixels
-        rows = np.ascontiguousarray(bodies, float)
+        rows = np.array(bodies, np.float64, order="C")  # a read-only one would be compiled for anew
         count = self._kernel(*how, rows, *self._scene, ground, tiles, *memory)
         if count < 0:
             raise RenderError(
