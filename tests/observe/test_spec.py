@@ -6,16 +6,15 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 
-from magical.envs.env import MagicalEnv
 from magical.errors import PluginError, UnknownNameError
 from magical.observe import (
     PRESETS,
     RAW,
-    ObservationSpec,
     Observer,
     PixelSpec,
     StateSpec,
     make_spec,
+    parse_spec,
 )
 from magical.scene import View
 from magical.tasks import get_task
@@ -48,31 +47,29 @@ def test_accepted_specs() -> None:
     )
 
 
+class Outside:
+    """A kind of observation that the package does not know."""
+
+    def observer(self, out: Any = None) -> Observer:
+        return StateSpec(3, 1).observer(out)
+
+
 def test_a_specification_from_outside_is_accepted() -> None:
-    class Wrapped:
-        """A kind of observation that the package does not know."""
-
-        def __init__(self, spec: ObservationSpec) -> None:
-            self._spec = spec
-
-        def __getattr__(self, name: str) -> Any:
-            return getattr(self._spec, name)
-
-        def observer(self, out: Any = None) -> Observer:
-            return self._spec.observer(out)
-
-    specs: list[Any] = [Wrapped(PRESETS["LoResStack"]), Wrapped(StateSpec(3, 1))]
-    for spec in specs:
-        assert make_spec(spec, TASK) is spec
-    kind: Any = Wrapped
-    with pytest.raises(UnknownNameError, match="expected"):
-        make_spec(kind, TASK)
+    spec: Any = Outside()
+    assert make_spec(spec, TASK) is spec
 
 
-@pytest.mark.parametrize("bad", ["LoRes5E", 7, {"colour": 1}, {"parts": [["top", 1]]}])
-def test_unknown_specs(bad: object) -> None:
+@pytest.mark.parametrize("bad", ["LoRes5E", 7, {"colour": 1}, {"parts": [["top", 1]]}, Outside])
+def test_unknown_specs(bad: Any) -> None:
     with pytest.raises(UnknownNameError, match="expected"):
         make_spec(bad, TASK)
+
+
+@pytest.mark.parametrize("text", ["LoRes5E", "{", '{"size": "1"}', '{"size": 0}', "os:environ"])
+def test_text_from_outside_imports_nothing(text: str) -> None:
+    with pytest.raises(UnknownNameError, match="expected"):
+        parse_spec(text, TASK)
+    assert parse_spec('{"size": 32}', TASK) == PixelSpec(size=32)
 
 
 @pytest.mark.parametrize(
@@ -90,22 +87,6 @@ def test_unknown_specs(bad: object) -> None:
 def test_impossible_specs(fields: dict[str, object]) -> None:
     with pytest.raises(ValueError, match="expected"):
         PixelSpec(**fields)
-
-
-def test_a_picture_has_all_frames_side_by_side() -> None:
-    for name, spec in PRESETS.items():
-        env = MagicalEnv("MoveToRegion", "Demo", observation=name)
-        observation = env.reset(seed=0)[0]
-        picture = spec.picture(observation)
-        frames = sum(count for _, count in spec.parts)
-        assert picture.shape == (spec.size, spec.size * frames, 3)
-        newest = spec.stacks(observation)[-1][..., -3:]
-        np.testing.assert_array_equal(picture[:, -spec.size :], newest)
-
-
-def test_a_state_vector_has_no_picture() -> None:
-    spec: ObservationSpec = StateSpec(3, 1)
-    assert spec.picture(np.zeros(spec.network_shape, np.float32)) is None
 
 
 def test_observations_of_other_distributions_are_named_by_module() -> None:

@@ -23,11 +23,10 @@ def _named(vector: np.ndarray) -> dict[str, float]:
     return dict(zip(SPEC.names, vector.tolist(), strict=True))
 
 
-def test_layout() -> None:
-    simulation = Simulation(SCENE)
-    observer = SPEC.observer()
-    observer.start(SCENE, simulation.read())
-    entries = _named(observer.out)
+def test_layout_and_bounds_in_the_given_array() -> None:
+    out = np.full(SPEC.size, 7, np.float32)
+    observer = SPEC.observer(out)
+    observer.start(SCENE, Simulation(SCENE).read())
     expected = {
         "robot.x": 0.1, "robot.y": 0.2, "robot.cos": math.cos(0.3), "robot.sin": math.sin(0.3),
         "robot.left_angle": math.pi / 8, "robot.right_angle": -math.pi / 8,
@@ -36,16 +35,17 @@ def test_layout() -> None:
         "region0.present": 1, "region0.yellow": 1, "region0.left": -0.9, "region0.top": 0.8,
         "region0.height": 0.4, "region0.width": 0.3,
     }  # fmt: skip
-    for name, value in entries.items():
+    for name, value in _named(out).items():
         assert value == pytest.approx(expected.get(name, 0.0), abs=1e-6), name
+    assert out in SPEC.space
+    for name, low, high in zip(SPEC.names, SPEC.space.low, SPEC.space.high, strict=True):
+        assert np.isfinite([low, high]).all() == ("velocity" not in name), name
 
 
 def test_velocities_and_finger_motion() -> None:
-    simulation = Simulation(SCENE)
-    observer = SPEC.observer()
+    simulation, observer = Simulation(SCENE), SPEC.observer()
     observer.start(SCENE, simulation.read())
-    simulation.step(POINTS[13])  # forward-left-closed
-    bodies = simulation.read()
+    bodies = simulation.step(POINTS[13])  # forward-left-closed
     observer.update(bodies)
     entries = _named(observer.out)
     assert entries["robot.velocity_x"] == pytest.approx(bodies[0, 3], abs=1e-6)
@@ -59,19 +59,3 @@ def test_too_many_blocks() -> None:
     crowded = Scene(SCENE.robot, SCENE.blocks * 3)
     with pytest.raises(InvalidSceneError, match="at most 2 blocks"):
         SPEC.observer().start(crowded, Simulation(crowded).read())
-
-
-def test_writes_into_the_given_array() -> None:
-    out = np.full(SPEC.size, 7, np.float32)
-    SPEC.observer(out).start(SCENE, Simulation(SCENE).read())
-    assert out[0] == np.float32(0.1)
-    assert len(SPEC.names) == SPEC.size == SPEC.space.shape[0]
-
-
-def test_bounds_are_finite_where_the_quantity_has_them() -> None:
-    box = SPEC.space
-    for name, low, high in zip(SPEC.names, box.low, box.high, strict=True):
-        assert np.isfinite([low, high]).all() == ("velocity" not in name), name
-    observer = SPEC.observer()
-    observer.start(SCENE, Simulation(SCENE).read())
-    assert observer.out in box

@@ -91,13 +91,3 @@ def test_beyond_the_wall(kind: Kind, pose: Pose, x: float) -> None:
     solid = Solids.cleared().take(kind)
     solid.move(pose)
     assert solid.beyond_wall == pytest.approx(reach - 1.0, abs=1e-12)
-
-
-def test_solids_are_used_again() -> None:
-    for _ in range(3):
-        solids = Solids.cleared()
-        taken = [solids.take(kind) for kind in (Shape.STAR, Shape.STAR, None)]
-        for solid in taken:
-            solid.move(Pose(0.1, 0.2, 0.3))
-            assert not list(solids.overlaps(solid))  # nothing is placed
-    assert solids._count - Solids.cleared()._count == 0

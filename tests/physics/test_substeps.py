@@ -1,68 +1,22 @@
-"""Compiled control steps: the motions of the plain loop through pymunk's properties."""
+"""Compiled control steps, of one simulation and of several."""
 
-import math
 import sys
-from concurrent.futures import ThreadPoolExecutor
 from threading import Event, Thread
 from typing import Any
 
 import numpy as np
-import pymunk
 import pytest
 
 from magical.errors import DependencyVersionError
-from magical.physics import Simulation, chipmunk
-from magical.physics.substeps import step_rows
-from magical.scene import constants as c
+from magical.physics import Simulation, substeps
 from magical.scene.actions import POINTS
 from magical.tasks import TASKS
-from tests.reference import motions
-from tests.reference.recordings import DATA
 
 STEPS = 200  # of every task; many start where robot and blocks touch walls or each other
 Points = Any  # (T, 3): drive, turn, grip
 
 
-class Plain:
-    """A simulation that is steered, stepped and read through pymunk's properties."""
-
-    def __init__(self, *start: Any) -> None:
-        self._simulation = Simulation(*start)
-        self._space = self._simulation._space
-        bodies = self._simulation._bodies
-        self._body, self._left, self._right = bodies[:3]
-        self._places = [self._body if 3 <= i < 5 else body for i, body in enumerate(bodies)]
-        joints = self._space.constraints
-        (self._gear,) = (j for j in joints if isinstance(j, pymunk.GearJoint) and j.b is self._body)
-        self._motors = [
-            next(j for j in joints if isinstance(j, pymunk.SimpleMotor) and j.b is finger)
-            for finger in (self._left, self._right)
-        ]
-
-    def read(self) -> np.ndarray:
-        pairs = zip(self._places, self._simulation._bodies, strict=True)
-        return np.array([[*p.position, a.angle, *p.velocity, a.angular_velocity] for p, a in pairs])
-
-    def step(self, point: Any) -> np.ndarray:
-        drive, turn, grip = point
-        speed = drive * (c.DRIVE_SPEED_FORWARD if drive > 0.0 else -c.DRIVE_SPEED_BACK)
-        target = c.FINGER_OPEN * (1.0 - grip) / 2.0
-        lead = math.copysign(c.TURN_LEAD, turn) if turn else 0.0
-        self._gear.max_bias = abs(turn) * c.TURN_MAX_BIAS if turn else c.TURN_MAX_BIAS
-        fingers = (self._left, self._right)
-        for _ in range(c.SUBSTEPS):
-            angle = self._body.angle
-            self._gear.a.angle = angle + lead
-            self._gear.a.velocity = -math.sin(angle) * speed, math.cos(angle) * speed
-            for finger, motor, side in zip(fingers, self._motors, c.SIDES, strict=True):
-                rate = c.FINGER_GAIN * (finger.angle - angle + side * target)
-                rate = min(max(rate, -c.FINGER_MAX_RATE), c.FINGER_MAX_RATE)
-                motor.rate = rate if abs(rate) >= c.FINGER_DEAD_RATE else 0.0
-            self._space.step(c.SUBSTEP_TIME)
-        return self.read()
-
-
-def history(simulation: Simulation | Plain, points: Points) -> list[np.ndarray]:
+def history(simulation: Simulation, points: Points) -> list[np.ndarray]:
     return [simulation.read(), *map(simulation.step, points)]
 
 
@@ -72,20 +26,6 @@ def random_points(seed: int) -> Points:
     points = np.array(POINTS)[rng.integers(len(POINTS), size=STEPS // 4)]
     points[::3] = rng.uniform(-1.0, 1.0, points[::3].shape)
     return np.repeat(points, 4, axis=0)
-
-
-@pytest.mark.parametrize("name", TASKS)
-def test_random_motions_are_the_plain_loops_to_the_last_bit(name: str) -> None:
-    for seed, variant in enumerate(TASKS[name].variants):
-        start = TASKS[name].sample(variant, np.random.default_rng(seed))
-        points = random_points(seed)
-        assert np.array_equal(history(Simulation(*start), points), history(Plain(*start), points))
-
-
-def test_recorded_motions_are_the_plain_loops_to_the_last_bit() -> None:
-    for motion in motions.load(DATA / "motions.json").values():
-        scene, points = motions._scene(motion), np.array(POINTS)[motion["actions"]]
-        assert np.array_equal(history(Simulation(scene), points), history(Plain(scene), points))
 
 
 def test_simulations_that_are_stepped_together_move_as_alone() -> None:
@@ -98,7 +38,7 @@ def test_simulations_that_are_stepped_together_move_as_alone() -> None:
     robots, out = np.stack([each.robot for each in simulations]), np.zeros((len(starts), most, 6))
     rows = np.array([5, 0, 2])
     for point in random_points(0)[:40]:
-        step_rows(rows, robots, places, np.array([point] * len(starts)), out)
+        substeps.step_rows(rows, robots, places, np.array([point] * len(starts)), out)
         for row in rows:
             expected = alone[row].step(point)
             assert np.array_equal(out[row, : len(expected)], expected)
@@ -112,18 +52,6 @@ def test_a_written_state_is_read_back() -> None:
     states = history(simulation, random_points(0))
     other.write(states[-1])
     assert np.array_equal(other.read(), states[-1])
-
-
-def test_threads_step_simulations_of_their_own() -> None:
-    def run(seed: int) -> list[np.ndarray]:
-        scene, _ = TASKS["ClusterShape"].sample("TestAll", np.random.default_rng(seed))
-        return history(Simulation(scene), random_points(seed))
-
-    seeds = range(8)
-    with ThreadPoolExecutor(4) as threads:
-        together = list(threads.map(run, seeds))
-    for seed, states in zip(seeds, together, strict=True):
-        assert np.array_equal(states, run(seed))
 
 
 def test_another_thread_runs_during_a_step() -> None:
@@ -154,14 +82,14 @@ def test_another_thread_runs_during_a_step() -> None:
 @pytest.mark.parametrize(
     ("name", "value"),
     [
-        ("SIGNATURES", {**chipmunk.SIGNATURES, "cpSpaceStep": "void(*)(struct cpSpace *, float)"}),
-        ("SIGNATURES", {**chipmunk.SIGNATURES, "cpSpaceStepTwice": "void(*)(struct cpSpace *)"}),
-        ("LAYOUT", chipmunk.LAYOUT[1:] + chipmunk.LAYOUT[:1]),
+        ("SIGNATURES", {**substeps.SIGNATURES, "cpSpaceStep": "void(*)(struct cpSpace *, float)"}),
+        ("SIGNATURES", {**substeps.SIGNATURES, "cpSpaceStepTwice": "void(*)(struct cpSpace *)"}),
+        ("LAYOUT", substeps.LAYOUT[1:] + substeps.LAYOUT[:1]),
     ],
 )
 def test_another_pymunk_is_refused(
     name: str, value: object, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(chipmunk, name, value)
+    monkeypatch.setattr(substeps, name, value)
     with pytest.raises(DependencyVersionError, match=r"pip install 'pymunk>=7.3,<7.4'"):
-        chipmunk.c_functions()
+        substeps.c_functions()

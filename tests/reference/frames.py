@@ -42,8 +42,7 @@ def load(path: Path | str) -> RecordedFrames:
     The format is described in the README of `data`. For a file without frames, `size` is 384 if
     the file's name contains 384, otherwise 96.
 
-    Raises:
-        RecordingError: the file cannot be read, or is not in the documented format.
+    Raises `RecordingError` for another file.
     """
     expected = "`records`, a JSON list, and perhaps `allo`, `ego` (N, size, size, 3) uint8"
     with expecting(path, f"an .npz file without pickled objects: {expected}"):
@@ -82,10 +81,10 @@ def compare(data: RecordedFrames, computed: Mapping[View, FrameArray]) -> list[C
             figure, exact = differences[indices].mean(), sum(differences[indices] == 0)
             detail = f"{len(indices)} frames, {exact} of them equal"
             name = f"{task} {view}"
-            comparisons.append(Comparison.at_most(name, float(figure), limit, UNIT, detail))
+            comparisons.append(Comparison(name, float(figure), limit, UNIT, detail))
         worst = int(differences.argmax())
         figure, name = float(differences[worst]), f"worst {view} frame"
-        comparisons.append(Comparison.at_most(name, figure, FRAME_LIMIT, UNIT, data.names[worst]))
+        comparisons.append(Comparison(name, figure, FRAME_LIMIT, UNIT, data.names[worst]))
     return comparisons
 
 

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from magical.grouping import group_by
 from magical.physics import Simulation
 from magical.scene.actions import NUM_ACTIONS, POINTS
-from magical.scene.scene import Block, Pose, Scene
-from magical.scene.vocabulary import Colour
+from magical.scene.scene import Block, Colour, Pose, Scene
 from tests.reference.recordings import Comparison, expecting, read_json, write_json
 
 FIRST_STEPS = 3
@@ -33,8 +32,7 @@ Motion = dict[str, Any]
 def load(path: Path | str) -> dict[str, Motion]:
     """Read a motions file: name -> `robot`, `blocks`, `actions` and, if recorded, the results.
 
-    Raises:
-        RecordingError: the file cannot be read, or is not in the documented format.
+    Raises `RecordingError` for another file.
     """
     expected = "JSON, name: {robot [[x, y], angle], blocks [[shape, [x, y], angle], ...], actions}"
     with expecting(path, expected):
@@ -67,36 +65,21 @@ def compute(data: Mapping[str, Motion]) -> dict[str, Motion]:
 def compare(data: Mapping[str, Motion], computed: Mapping[str, Motion]) -> list[Comparison]:
     """The largest differences in the first steps and, for each quantity, at any step, by kind."""
     complete = [name for name, motion in data.items() if all(key in motion for key in _RESULTS)]
-    groups = group_by(complete, _kind)
-    return [
-        comparison
-        for kind, names in groups.items()
-        for comparison in _compare_kind(kind, names, data, computed)
-    ]
-
-
-def _compare_kind(
-    kind: str, names: Sequence[str], data: Mapping[str, Motion], computed: Mapping[str, Motion]
-) -> list[Comparison]:
-    first, *largest = zip(*(_errors(data[name], computed[name]) for name in names), strict=True)
-    grip = kind == "grip"
-    limits = {
-        "position": (GRIP_LIMIT if grip else POSITION_LIMIT, "units"),
-        "robot angle": (GRIP_ANGLE_LIMIT if grip else ANGLE_LIMIT, "rad"),
-        "block angle": (GRIP_ANGLE_LIMIT if grip else BLOCK_ANGLE_LIMIT, "rad"),
-    }
-    comparisons = [
-        Comparison.at_most(
-            f"{kind} first steps", max(first), FIRST_LIMIT, "units or rad", f"{len(names)} motions"
-        )
-    ]
-    for (quantity, (limit, unit)), errors in zip(limits.items(), largest, strict=True):
-        if quantity == "block angle" and not any(data[name]["blocks"] for name in names):
-            continue
-        worst = f"worst {names[int(np.argmax(errors))]}"
-        comparisons.append(
-            Comparison.at_most(f"{kind} {quantity}", max(errors), limit, unit, worst)
-        )
+    comparisons = []
+    for kind, names in group_by(complete, _kind).items():
+        grip = kind == "grip"
+        limits = {
+            "first steps": (FIRST_LIMIT, "units or rad"),
+            "position": (GRIP_LIMIT if grip else POSITION_LIMIT, "units"),
+            "robot angle": (GRIP_ANGLE_LIMIT if grip else ANGLE_LIMIT, "rad"),
+            "block angle": (GRIP_ANGLE_LIMIT if grip else BLOCK_ANGLE_LIMIT, "rad"),
+        }
+        figures = zip(*(_errors(data[name], computed[name]) for name in names), strict=True)
+        for (quantity, (limit, unit)), errors in zip(limits.items(), figures, strict=True):
+            if quantity != "block angle" or any(data[name]["blocks"] for name in names):
+                worst = f"worst of {len(names)}: {names[int(np.argmax(errors))]}"
+                found = Comparison(f"{kind} {quantity}", max(errors), limit, unit, worst)
+                comparisons.append(found)
     return comparisons
 
 

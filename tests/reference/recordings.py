@@ -4,9 +4,9 @@ import gzip
 import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, NamedTuple
 
 import msgspec
 
@@ -26,21 +26,19 @@ class RecordingError(ValueError):
     """A recording file that is damaged or not in the documented format."""
 
 
-@dataclass(frozen=True, slots=True)
-class Comparison:
-    """One figure, its limit, and whether the figure passes."""
+class Comparison(NamedTuple):
+    """One figure, its limit, and whether the figure passes: it is at most, or `at_least`, that."""
 
     name: str
     figure: float
     limit: float
     unit: str
-    passed: bool
-    detail: str = ""
+    detail: str
+    at_least: bool = False
 
-    @classmethod
-    def at_most(cls, name: str, figure: float, limit: float, unit: str, detail: str = "") -> Self:
-        """A comparison that passes if the figure is at most `limit`."""
-        return cls(name, figure, limit, unit, figure <= limit, detail)
+    @property
+    def passed(self) -> bool:
+        return self.figure >= self.limit if self.at_least else self.figure <= self.limit
 
 
 def scene_of(record: Mapping[str, Any]) -> Scene:

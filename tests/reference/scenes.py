@@ -7,7 +7,7 @@ colour was sampled with a bias in the recordings, so only which block is mismatc
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import astuple
 from itertools import combinations
 from pathlib import Path
 from typing import Any, TypeVar
@@ -27,25 +27,15 @@ SAMPLES = 1000  # scenes sampled for each environment, unless the recording hold
 BIASED_COLOURS = "FixColour"
 
 SceneRow = Mapping[str, Any]
+Scenes = Mapping[str, Sequence[SceneRow]]  # of each environment
 Value = TypeVar("Value", float, str)
-
-
-@dataclass(frozen=True)
-class SampledScenes:
-    """Sampled scenes of each environment, and how many of them to write."""
-
-    scenes: Mapping[str, Sequence[SceneRow]]
-    wanted: Mapping[str, int]
 
 
 def load(path: Path | str) -> dict[str, list[SceneRow]]:
     """Read recorded scenes: environment -> [{robot, blocks, regions, dynamics}, ...].
 
     An environment's list may be empty, and a plain list of environments is also accepted: scenes
-    are then sampled but not compared.
-
-    Raises:
-        RecordingError: the file cannot be read, or is not in the documented format.
+    are then sampled but not compared. Raises `RecordingError` for another file.
     """
     with expecting(path, "JSON, <Task>-<Variant>-v0: {robot, blocks, regions, dynamics} each"):
         data = read_json(path, dict[str, list[dict[str, Any]] | None] | list[str])
@@ -55,14 +45,14 @@ def load(path: Path | str) -> dict[str, list[SceneRow]]:
             parse_env_id(env)
             for row in filter(None, rows):
                 scene_of(row)
-                Dynamics.from_dict(row["dynamics"])
+                Dynamics(*row["dynamics"])
                 _coordinates([row])
                 _categories(parse_env_id(env).task, [row])
     return recorded
 
 
-def compute(data: Mapping[str, Sequence[SceneRow]], samples: int = SAMPLES) -> SampledScenes:
-    """Sample at least `samples` scenes of every environment (Demo: one), and as many as recorded.
+def compute(data: Scenes, samples: int | None = None) -> Scenes:
+    """Sample `SAMPLES` scenes of every environment (Demo: one), or as many as recorded, if more.
 
     An environment's random numbers depend only on its position in `data`.
     """
@@ -70,9 +60,9 @@ def compute(data: Mapping[str, Sequence[SceneRow]], samples: int = SAMPLES) -> S
     for i, (env, rows) in enumerate(data.items()):
         env_id, rng = parse_env_id(env), np.random.default_rng((0, i))
         task = get_task(env_id.task)
-        count = max(len(rows), 1 if env_id.variant == DEMO else samples)
+        count = max(len(rows), 1 if env_id.variant == DEMO else samples or SAMPLES)
         scenes[env] = [row_of(*task.sample(env_id.variant, rng)) for _ in range(count)]
-    return SampledScenes(scenes, {env: len(rows) or len(scenes[env]) for env, rows in data.items()})
+    return scenes
 
 
 def row_of(scene: Scene, dynamics: Dynamics) -> SceneRow:
@@ -86,25 +76,22 @@ def row_of(scene: Scene, dynamics: Dynamics) -> SceneRow:
     }
 
 
-def write(computed: SampledScenes, out: Path | str) -> None:
-    """Write as many scenes per environment as were recorded (all if none), in the same format."""
-    write_json({env: rows[: computed.wanted[env]] for env, rows in computed.scenes.items()}, out)
+write = write_json
 
 
-def compare(data: Mapping[str, Sequence[SceneRow]], computed: SampledScenes) -> list[Comparison]:
+def compare(data: Scenes, computed: Scenes) -> list[Comparison]:
     """The smallest p-value, Bonferroni-corrected over all tests, of each task with recordings."""
     tests: dict[str, dict[str, float]] = {}  # task: name of the test: p-value
     for env, rows in data.items():
         if recorded := [row for row in rows if row]:
             env_id = parse_env_id(env)
-            found = _tests(env_id.task, env_id.variant, recorded, computed.scenes[env])
+            found = _tests(env_id.task, env_id.variant, recorded, computed[env])
             tests.setdefault(env_id.task, {}).update(found)
     count, comparisons = sum(map(len, tests.values())), []
     for task, own in tests.items():
         worst, p = min(own.items(), key=lambda test: test[1])
         figure, detail = min(1.0, p * count), f"{len(own)} tests, smallest p {p:.2g}: {worst}"
-        passed = figure >= LIMIT
-        comparisons.append(Comparison(task, figure, LIMIT, "least p", passed, detail))
+        comparisons.append(Comparison(task, figure, LIMIT, "least p", detail, at_least=True))
     return comparisons
 
 
@@ -171,12 +158,10 @@ def _coordinates(rows: Sequence[SceneRow]) -> dict[str, list[float]]:
         for i, value in enumerate(row["dynamics"]):
             found.setdefault(f"dynamics {i}", []).append(value)
         if len(row["blocks"]) > 1:
-            found.setdefault("closest blocks", []).append(_closest(row["blocks"]))
+            pairs = combinations(row["blocks"], 2)
+            closest = min(float(np.hypot(a[2] - b[2], a[3] - b[3])) for a, b in pairs)
+            found.setdefault("closest blocks", []).append(closest)
     return found
-
-
-def _closest(blocks: Sequence[Sequence[Any]]) -> float:
-    return min(float(np.hypot(a[2] - b[2], a[3] - b[3])) for a, b in combinations(blocks, 2))
 
 
 def _categories(task: str, rows: Sequence[SceneRow]) -> dict[str, list[str]]:

@@ -18,8 +18,7 @@ ScoredState = Mapping[str, Any]
 def load(path: Path | str) -> list[ScoredState]:
     """Read final states: [{task, variant, scene, final and, if recorded, scores}, ...].
 
-    Raises:
-        RecordingError: the file cannot be read, or is not in the documented format.
+    Raises `RecordingError` for another file.
     """
     with expecting(path, "JSON, a list of states with task, scene, final and perhaps scores"):
         data: list[ScoredState] = read_json(path, list[dict[str, Any]])
@@ -63,6 +62,6 @@ def compare(
         if found:
             differences.setdefault(state["task"], []).append(max(found))
     return [
-        Comparison.at_most(task, max(values), LIMIT, "score", f"{len(values)} states")
+        Comparison(task, max(values), LIMIT, "score", f"{len(values)} states")
         for task, values in differences.items()
     ]

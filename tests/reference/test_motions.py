@@ -3,7 +3,6 @@
 import copy
 import json
 import math
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -22,17 +21,6 @@ def recorded() -> dict[str, Any]:
 @pytest.fixture(scope="module")
 def computed(recorded: dict[str, Any]) -> dict[str, Any]:
     return motions.compute(recorded)
-
-
-def test_within_limits(recorded: dict[str, Any], computed: dict[str, Any]) -> None:
-    comparisons = motions.compare(recorded, computed)
-    assert {each.name for each in comparisons} == {
-        "drive first steps", "drive position", "drive robot angle",
-        "turn first steps", "turn position", "turn robot angle",
-        "push first steps", "push position", "push robot angle", "push block angle",
-        "grip first steps", "grip position", "grip robot angle", "grip block angle",
-    }  # fmt: skip
-    assert [each for each in comparisons if not each.passed] == []
 
 
 def test_fingers_follow_the_recordings_where_nothing_is_touched(
@@ -65,34 +53,9 @@ def test_a_wrong_motion_is_detected(recorded: dict[str, Any], computed: dict[str
     }  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    ("key", "change"),
-    [
-        ("block_poses", lambda poses: poses[:, 0]),  # one block's for all
-        ("finger_angles", lambda angles: angles[:, :1]),
-        ("robot_pose", lambda poses: poses[1:]),
-    ],
-)
-def test_results_of_other_shapes_are_refused(
-    recorded: dict[str, Any], key: str, change: Callable[[Any], Any], tmp_path: Path
-) -> None:
+def test_results_of_another_shape_are_refused(recorded: dict[str, Any], tmp_path: Path) -> None:
     motion = recorded["push_two_square"]
-    changed = {**motion, key: change(np.array(motion[key])).tolist()}
-    (tmp_path / "motions.json").write_text(json.dumps({"push": changed}))
-    with pytest.raises(RecordingError, match=f"push: {key} not of shape"):
+    one_for_all = {**motion, "block_poses": np.array(motion["block_poses"])[:, 0].tolist()}
+    (tmp_path / "motions.json").write_text(json.dumps({"push": one_for_all}))
+    with pytest.raises(RecordingError, match="push: block_poses not of shape"):
         motions.load(tmp_path / "motions.json")
-
-
-def test_without_recorded_results_it_only_computes(
-    recorded: dict[str, Any], computed: dict[str, Any], tmp_path: Path
-) -> None:
-    inputs = {
-        name: {key: motion[key] for key in ("robot", "blocks", "actions")}
-        for name, motion in recorded.items()
-    }
-    (tmp_path / "inputs.json").write_text(json.dumps(inputs))
-    data = motions.load(tmp_path / "inputs.json")
-    results = motions.compute(data)
-    assert motions.compare(data, results) == []
-    motions.write(results, tmp_path / "out.json")
-    assert json.loads((tmp_path / "out.json").read_text()) == computed

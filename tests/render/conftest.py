@@ -8,7 +8,6 @@ from tests.render.cases import Case
 
 @pytest.fixture(scope="session")
 def case() -> Case:
-    """One of everything."""
     blocks = tuple(
         Block(shape, colour, Pose(0.5 * i - 0.7, 0.3 * i - 0.6, 0.4 * i))
         for i, (shape, colour) in enumerate(zip(SHAPES, COLOURS, strict=True))

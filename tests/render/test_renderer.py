@@ -1,72 +1,85 @@
-"""The renderer's interface: layouts, purity, threads, errors."""
+"""The renderer's interface: layouts, stacks, purity, threads, errors."""
 
 import subprocess
 import sys
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from magical.errors import RenderError, UnknownNameError
-from magical.render import Renderer, default_samples, render_frame, render_views
-from magical.render.kernel import frame_kernel
-from magical.scene import Poses, View
+from magical.render import Renderer, default_samples, render_frame, render_views, shift_stack
+from magical.scene import Colour, Pose, Poses, Region, Scene, View
 from tests.render.cases import Case, random_case
 
-Image = NDArray[np.uint8]
-
-LAYOUTS: dict[str, Callable[[], Image]] = {
-    "contiguous": lambda: np.zeros((96, 96, 3), np.uint8),
-    "newest of a stack": lambda: np.zeros((96, 96, 12), np.uint8)[:, :, -3:],
-    "channels first": lambda: np.zeros((12, 96, 96), np.uint8).transpose(1, 2, 0)[:, :, -3:],
-    "part of a batch": lambda: np.zeros((5, 96, 96, 3), np.uint8)[2],
-    "strided": lambda: np.zeros((192, 192, 3), np.uint8)[::2, ::2],
-    "upside down": lambda: np.zeros((96, 96, 3), np.uint8)[::-1, ::-1],
-    "Fortran order": lambda: np.zeros((96, 96, 3), np.uint8, order="F"),
+Image = np.ndarray
+LAYOUTS: dict[str, Any] = {  # of (size, size, channels)
+    "contiguous": lambda n, c: np.zeros((n, n, c), np.uint8),
+    "channels first": lambda n, c: np.zeros((c, n, n), np.uint8).transpose(1, 2, 0),
+    "window": lambda n, c: np.zeros((n, n, c + 5), np.uint8)[:, :, 3 : 3 + c],
+    "window, channels first": lambda n, c: np.zeros((c + 3, n, n), np.uint8).transpose(1, 2, 0)[
+        :, :, 3:
+    ],
+    "upside down": lambda n, c: np.zeros((n, n, c), np.uint8)[::-1, ::-1],
+    "Fortran order": lambda n, c: np.zeros((n, n, c), np.uint8, order="F"),
 }
 
 
-@pytest.mark.parametrize("view", list(View))
 @pytest.mark.parametrize("layout", LAYOUTS)
-def test_any_layout(layout: str, view: View, case: Case) -> None:
-    out = LAYOUTS[layout]()
-    Renderer(case[0], view).render(case[1].bodies, out)
-    np.testing.assert_array_equal(out, render_frame(*case, view))
+@pytest.mark.parametrize("channels", [3, 6, 12])
+def test_frames_and_stacks_of_any_layout(layout: str, channels: int, case: Case) -> None:
+    for view in View:
+        renderer, newest = Renderer(case[0], view, 32), render_frame(*case, view, 32)
+        stack = LAYOUTS[layout](32, channels)
+        stack[:] = np.random.default_rng(1).integers(256, size=stack.shape)
+        expected = np.concatenate([stack[:, :, 3:], newest], axis=2)
+        shifted = stack.copy()
+        shift_stack(shifted)
+        np.testing.assert_array_equal(shifted[:, :, :-3], expected[:, :, :-3])
+        renderer.render_stacked(case[1].bodies, stack)
+        np.testing.assert_array_equal(stack, expected)
+        stack[:, :, -3:] = 0
+        renderer.render(case[1].bodies, stack[:, :, -3:])
+        np.testing.assert_array_equal(stack, expected)
+
+
+def test_only_the_window_is_written(case: Case) -> None:
+    renderer = Renderer(case[0], View.EGO)
+    for render, end in ((renderer.render, 6), (renderer.render_stacked, 9)):
+        whole = np.full((96, 96, 12), 77, np.uint8)
+        render(case[1].bodies, whole[:, :, 3:end])
+        assert (whole[:, :, :3] == 77).all()
+        assert (whole[:, :, end:] == 77).all()
 
 
 @pytest.mark.parametrize("view", list(View))
 def test_published_pipeline(view: View, case: Case) -> None:
     raw = render_frame(*case, view, 384, 1).astype(float)
     reduced = np.rint(raw.reshape(96, 4, 96, 4, 3).mean(axis=(1, 3)))  # rounds halves to even
-    np.testing.assert_array_equal(render_frame(*case, view, 96, 4), reduced)
+    np.testing.assert_array_equal(render_frame(*case, view), reduced)
     half = np.rint(raw.reshape(192, 2, 192, 2, 3).mean(axis=(1, 3)))
-    np.testing.assert_array_equal(render_frame(*case, view, 192, 2), half)
+    np.testing.assert_array_equal(render_frame(*case, view, 192), half)
 
 
-def test_default_samples(case: Case) -> None:
-    assert [default_samples(n) for n in (32, 96, 97, 128, 192, 383, 384, 1000)] == [
-        4, 4, 4, 4, 2, 2, 1, 1,
-    ]  # fmt: skip
-    np.testing.assert_array_equal(render_frame(*case, "ego"), render_frame(*case, "ego", 96, 4))
-
-
-@pytest.mark.parametrize("samples", [2.0, np.int64(2)])
-def test_samples_of_another_type(samples: Any, case: Case) -> None:
-    expected = render_frame(*case, "ego", 8, 2)
-    frame_kernel.cache_clear()  # which finds kernels by a number of any type
-    np.testing.assert_array_equal(render_frame(*case, "ego", 8, samples), expected)
+def test_default_samples() -> None:
+    sizes = {32: 4, 96: 4, 97: 4, 128: 4, 192: 2, 383: 2, 384: 1, 1000: 1}
+    assert {size: default_samples(size) for size in sizes} == sizes
 
 
 def test_frames_depend_on_the_poses_alone_in_threads_too() -> None:
     cases = [random_case(seed) for seed in range(4)]
     renderers = [(Renderer(s, v, n), p) for s, p in cases for v in View for n in (96, 48)]
-    expected = [_rendered(*entry) for entry in renderers]
+
+    def rendered(renderer: Renderer, poses: Poses) -> Image:
+        out = np.empty((renderer.size, renderer.size, 3), np.uint8)
+        renderer.render(poses.bodies, out)
+        return out
+
+    expected = [rendered(*entry) for entry in renderers]
 
     def render_often(renderer: Renderer, poses: Poses) -> list[Image]:
-        return [_rendered(renderer, poses) for _ in range(300)]
+        return [rendered(renderer, poses) for _ in range(100)]
 
     interval = sys.getswitchinterval()
     sys.setswitchinterval(1e-6)
@@ -75,14 +88,8 @@ def test_frames_depend_on_the_poses_alone_in_threads_too() -> None:
             frames = list(pool.map(render_often, *zip(*renderers, strict=True)))
     finally:
         sys.setswitchinterval(interval)
-    for rendered, one in zip(frames, expected, strict=True):
-        assert all((frame == one).all() for frame in rendered)
-
-
-def _rendered(renderer: Renderer, poses: Poses) -> Image:
-    out = np.empty((renderer.size, renderer.size, 3), np.uint8)
-    renderer.render(poses.bodies, out)
-    return out
+    for many, one in zip(frames, expected, strict=True):
+        assert all((frame == one).all() for frame in many)
 
 
 def test_importing_compiles_nothing() -> None:
@@ -96,10 +103,8 @@ def test_importing_compiles_nothing() -> None:
 
 
 def test_both_views_side_by_side(case: Case) -> None:
-    both = render_views(*case)
-    assert both.shape == (384, 768, 3)
-    np.testing.assert_array_equal(both[:, :384], render_frame(*case, View.EGO, 384))
-    np.testing.assert_array_equal(both[:, 384:], render_frame(*case, View.ALLO, 384))
+    frames = [render_frame(*case, view, 384) for view in (View.EGO, View.ALLO)]
+    np.testing.assert_array_equal(render_views(*case), np.concatenate(frames, axis=1))
 
 
 def test_bodies_may_have_velocities_and_be_read_only(case: Case) -> None:
@@ -110,8 +115,30 @@ def test_bodies_may_have_velocities_and_be_read_only(case: Case) -> None:
     np.testing.assert_array_equal(out, render_frame(*case, "ego"))
 
 
+PIXEL = 2.04 / 384  # units
+
+
+@pytest.mark.parametrize("width", [100, 100.4, 100.8])
+def test_exact_dashes_shift_round_the_corner_of_a_side_that_is_not_whole(width: float) -> None:
+    """As in the frames of the human demonstrations; corners are at pixel centres, top left."""
+    region = Region(Colour.RED, -60.5 * PIXEL, 40.5 * PIXEL, 80 * PIXEL, width * PIXEL)
+    scene = Scene(Pose(0.8, -0.8, 0.0), regions=(region,))
+    frames = np.empty((2, 384, 384, 3), np.uint8)
+    for frame, whole in zip(frames, (True, False), strict=True):
+        renderer = Renderer(scene, "allo", 384, 1, whole_dashes=whole)
+        renderer.render(Poses.at_rest(scene).bodies, frame)
+    np.testing.assert_array_equal(frames[0, :150], frames[1, :150])
+    if width == 100:
+        np.testing.assert_array_equal(*frames)
+        return
+    # Rounded up, the top side counts 101 pixels; by its exact length, 100 whole ones.
+    rounded, exact = frames[:, 152:232, 192 - 60 + 100, 1]  # the right sides, from the top
+    assert not np.array_equal(rounded[4:70], exact[4:70])
+    np.testing.assert_array_equal(rounded[4:70], exact[5:71])
+
+
 @pytest.mark.parametrize("value", [np.nan, np.inf, -1e9])
-@pytest.mark.parametrize("place", [(0, 0), (2, 1), (6, 2)])
+@pytest.mark.parametrize("place", [(0, 0), (6, 2)])
 def test_poses_out_of_range(value: float, place: tuple[int, int], case: Case) -> None:
     bodies = case[1].bodies.copy()
     bodies[place] = value
@@ -128,18 +155,11 @@ def test_arrays_of_other_shapes_and_types(case: Case) -> None:
             renderer.render(bodies, out)
     read_only = out.copy()
     read_only.flags.writeable = False
-    bad_arrays: tuple[Any, ...] = (out[1:], out[:, :, :2], out.astype(np.float32), read_only)
-    for bad in bad_arrays:
-        with pytest.raises(RenderError, match="expected"):
-            renderer.render(poses.bodies, bad)
-    stack = np.empty((96, 96, 6), np.uint8)
-    bad_stacks: tuple[Any, ...] = (stack[:90], stack * 1.0)
-    for bad in bad_stacks:
-        with pytest.raises(RenderError, match="expected"):
-            renderer.render_stacked(poses.bodies, bad)
-    for channels in (0, 2, 4):
-        with pytest.raises(RenderError, match="of whole frames"):
-            renderer.render_stacked(poses.bodies, np.empty((96, 96, channels), np.uint8))
+    others: Any = (out[1:], out[:, :, :2], out.astype(np.float32), read_only, out[:, :, :0])
+    for bad in others:
+        for render in (renderer.render, renderer.render_stacked):
+            with pytest.raises(RenderError, match="expected"):
+                render(poses.bodies, bad)
 
 
 @pytest.mark.parametrize(

@@ -34,31 +34,23 @@ def test_numbers_of_numpy_become_floats() -> None:
     assert Dynamics.from_dict(json.loads(json.dumps(dynamics.to_dict()))) == dynamics
 
 
-ROBOTS: tuple[Any, ...] = (
-    *(5, None, "abc", [0, 0]),
-    *([0, 0, float("nan")], [0, 0, 10**400], [0, 0, "0"], [0, 0, None], [0, 0, [0]]),
-    *([1e308, 0, 0], [0, 0, -1e308], [0, -1000.5, 0]),
-)
-BLOCKS: tuple[Any, ...] = (
-    *(5, None, [5], [[]], [["star", "red"]]),
-    *([["cube", "red", 0, 0, 0]], [[[], "red", 0, 0, 0]], [[{}, "red", 0, 0, 0]]),
-    *([["star", "red", 0, -1e308, 0]], [["star", "red", 0, 0, 0]] * 101),
-)
-REGIONS: tuple[Any, ...] = (
-    *(5, [5], [["red"]], [{"colour": "red"}], [["pink", 0, 0, 1, 1]]),
-    *([["red", 0, 0, 1, 0]], [["red", 0, 0, 1, "1"]], [["red", 0, 0, 1, 10**400]]),
-    *([["red", -1e9, 0, 1, 1]], [["red", 0, 0, 1, 1e308]], [["red", 0, 0, 1, 1]] * 31),
-)
+ORIGIN, TOO_LARGE = [0, 0, 0], [["star", "red", 0, -1e308, 0]]
 WRONG_SCENES: tuple[Any, ...] = (
-    *(5, None, [], {}),
-    *({"robot": robot} for robot in ROBOTS),
-    *({"robot": [0, 0, 0], "blocks": blocks} for blocks in BLOCKS),
-    *({"robot": [0, 0, 0], "regions": regions} for regions in REGIONS),
-    *({"robot": [0, 0, 0], "goal_regions": []}, {"robot": [0, 0, 0], "robot_first": "false"}),
+    *(5, None, [], {}, {"robot": ORIGIN, "goal_regions": []}),
+    *({"robot": robot} for robot in (5, "abc", [0, 0], [0, 0, float("nan")], [0, 0, "0"])),
+    *({"robot": robot} for robot in ([0, 0, 10**400], [0, 0, [0]], [0, -1000.5, 0])),
+    *({"robot": ORIGIN, "blocks": blocks} for blocks in (5, [5], [["star", "red"]], TOO_LARGE)),
+    *({"robot": ORIGIN, "blocks": [[shape, "red", *ORIGIN]]} for shape in ("cube", [], {})),
+    *({"robot": ORIGIN, "regions": regions} for regions in (5, [["red"]], [{"colour": "red"}])),
+    *({"robot": ORIGIN, "regions": [["red", 0, 0, 1, width]]} for width in (0, "1", 1e308)),
+    {"robot": ORIGIN, "blocks": [["star", "red", *ORIGIN]] * 101},
+    {"robot": ORIGIN, "regions": [["red", 0, 0, 1, 1]] * 31},
+    {"robot": ORIGIN, "regions": [["pink", 0, 0, 1, 1]]},
+    {"robot": ORIGIN, "robot_first": "false"},
 )
 WRONG_DYNAMICS: tuple[Any, ...] = (
-    *(5, None, "abcde", [1, 2, 3], [1] * 6, [1, 1, 1, 1, "1"], [1, 1, 1, 1, 10**400]),
-    *({"gravity": 1.0}, {3: 1.0}, {"body_gear_max_force": -1}, {"body_gear_max_force": None}),
+    *(5, None, [1, 2, 3], {"gravity": 1.0}, {3: 1.0}),
+    *({"body_gear_max_force": force} for force in (-1, None, "1", 10**400)),
 )
 
 

@@ -20,7 +20,7 @@ from magical.envs.action_spec import Actions, spec_of
 from magical.errors import DemonstrationsError, TrajectoryError
 from magical.files import sha256_sum
 from magical.observe import ObservationSpec
-from magical.observe.arrays import stack_indices
+from magical.observe.spec import stack_indices
 from magical.scene import NOOP
 from magical_baselines.augmentation.augment import augment
 from magical_baselines.augmentation.names import Augmentations
@@ -123,8 +123,8 @@ class ExpertData:
         first = np.cumsum([0, *(len(t) + 1 for t in trajectories[:-1])])  # each one's first frame
         sources = [TrajectorySource(trajectory) for trajectory in trajectories]
         self.frames: list[Tensor] = []
-        for component in spec.components:
-            frames = [component.read(source, np.arange(len(source) + 1)) for source in sources]
+        for single, _ in spec.components:
+            frames = [single.read(source, np.arange(len(source) + 1)) for source in sources]
             self.frames.append(torch.from_numpy(np.concatenate(frames)).to(device))
         parts = map(stack_indices, (s + 1 for s in steps), repeat(spec.frames + 1))
         windows = np.concatenate([n + part for n, part in zip(first, parts, strict=True)])
@@ -226,8 +226,8 @@ def stack_frames(frames: Sequence[Tensor], spec: ObservationSpec, windows: Tenso
     A component of the observation has its own frames, and as many of a window as it shows.
     """
     stacks = []
-    for of_one, component in zip(frames, spec.components, strict=True):
-        found = of_one.index_select(0, windows[:, -component.frames :].flatten())
+    for of_one, (_, count) in zip(frames, spec.components, strict=True):
+        found = of_one.index_select(0, windows[:, -count:].flatten())
         stacks.append(found.view(len(windows), -1, *of_one.shape[2:]))
     return stacks[0] if len(stacks) == 1 else torch.cat(stacks, dim=1)
 
@@ -361,9 +361,9 @@ class ReplayBuffer:
         numbers = np.arange(self._stored, self._stored + len(observations))
         slots = torch.from_numpy(numbers % self._capacity).to(self._frames[0].device)
         last = 0
-        for frames, component in zip(self._frames, self._spec.components, strict=True):
+        for frames, (_, count) in zip(self._frames, self._spec.components, strict=True):
             channels = frames.shape[1]
-            last += component.frames * channels
+            last += count * channels
             newest = observations[:, last - channels : last].to(frames.device)
             frames.index_copy_(0, slots, newest)
         self._stored += len(observations)

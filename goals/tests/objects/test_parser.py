@@ -9,8 +9,7 @@ from magical.render import Renderer
 from magical.scene import Poses, Scene, View
 from magical.scene.constants import FINGER_OPEN, SQUARE_SIDE
 from magical.scene.poses import FINGERS, FIRST_BLOCK, ROBOT
-from magical.scene.scene import Block, Pose, Region
-from magical.scene.vocabulary import COLOURS, SHAPES, Colour, Shape
+from magical.scene.scene import COLOURS, SHAPES, Block, Colour, Pose, Region, Shape
 from magical.tasks import TASKS, get_task
 from magical_goals.objects.parser import parse_frames
 

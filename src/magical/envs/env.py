@@ -25,7 +25,7 @@ from magical.errors import (
 from magical.files import convert
 from magical.messages import quoted
 from magical.observe import Observation, make_spec
-from magical.observe.arrays import copy_arrays
+from magical.observe.spec import copy_arrays
 from magical.physics import Simulation
 from magical.plugins import is_plugin, load_plugin, plugins
 from magical.scene.constants import CONTROL_RATE, MAX_COORDINATE

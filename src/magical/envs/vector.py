@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
-from gymnasium.vector.utils import batch_space
+from gymnasium.vector.utils import batch_space, create_empty_array
 from numpy.typing import NDArray
 
 from magical.envs.env import SCORE_KEYS, MagicalEnv, known, time_limit_error
@@ -22,7 +22,7 @@ from magical.errors import (
 )
 from magical.messages import quoted
 from magical.observe import Observation
-from magical.observe.arrays import copy_arrays, gather, map_arrays, select
+from magical.observe.spec import copy_arrays, map_arrays, select
 from magical.processes import checked_workers
 from magical.scene.poses import FIRST_BLOCK, State
 from magical.tasks.scoring import SUCCESS
@@ -97,9 +97,7 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         self.single_observation_space = self.envs[0].observation_space
         self.observation_space = batch_space(self.single_observation_space, count)
         spec = self.envs[0].observation_spec
-        self._observations = gather(
-            {name: np.zeros((count, *shape), dtype) for name, (shape, dtype) in spec.fields.items()}
-        )
+        self._observations: Any = create_empty_array(self.single_observation_space, count)
         for row, env in enumerate(self.envs):
             env.observer = spec.observer(select(self._observations, row))
         self._copies: list[_Copy] | None = [] if copy else None

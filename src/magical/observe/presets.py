@@ -3,9 +3,9 @@
 Source of the presets: docs/specification.md, section 7.
 """
 
-import dataclasses
-from collections.abc import Callable, Mapping
-from typing import Any, TypeGuard
+from collections.abc import Mapping
+from dataclasses import fields
+from typing import Any
 
 from magical.errors import PluginError, UnknownNameError
 from magical.files import parse_json
@@ -15,75 +15,65 @@ from magical.observe.spec import ObservationSpec
 from magical.observe.state_vector import STATE, StateSpec
 from magical.plugins import is_plugin, load_plugin, plugins
 from magical.scene.constants import RAW_FRAME_SIZE
-from magical.scene.vocabulary import View
+from magical.scene.scene import View
 from magical.tasks import Task
 
 # What `observation=` accepts: a name, a specification, a mapping of PixelSpec's fields, or None.
 Observation = str | ObservationSpec | Mapping[str, Any] | None
 
-_BOTH = (View.ALLO, View.EGO)
-
 # The presets that environment ids may name.
 PRESETS: Mapping[str, PixelSpec] = {
-    "LoResStack": PixelSpec(tuple((view, STACK) for view in _BOTH), separate=True),
+    "LoResStack": PixelSpec(((View.ALLO, STACK), (View.EGO, STACK)), separate=True),
     "LoRes4E": PixelSpec(((View.EGO, STACK),)),
     "LoRes4A": PixelSpec(((View.ALLO, STACK),)),
     "LoRes3EA": PixelSpec(((View.ALLO, 1), (View.EGO, STACK - 1))),
     "LoResCHW4E": PixelSpec(((View.EGO, STACK),), channels_first=True),
 }
-
-RAW = PixelSpec(tuple((view, 1) for view in _BOTH), size=RAW_FRAME_SIZE, separate=True)
+RAW = PixelSpec(((View.ALLO, 1), (View.EGO, 1)), size=RAW_FRAME_SIZE, separate=True)
 
 # Entry points for other distributions' observations: each is an `ObservationSpec`, or a function
 # from the task to one, whose `to_dict` returns the name of the entry point, or `module:NAME`, for
 # records of evaluations.
 GROUP = "magical.observations"
 
-# This package's other named observations, as functions of the task.
-NAMED: Mapping[str, Callable[[Task], ObservationSpec]] = {
-    "raw": lambda task: RAW,
-    STATE: lambda task: StateSpec(task.max_blocks, task.max_regions),
-}
-
 
 def make_spec(observation: Observation, task: Task) -> ObservationSpec:
     """The specification that `observation=` selects for a task.
 
     Args:
-        observation: the name of a preset, of another observation in `NAMED` or of an entry point,
-            `module:NAME`, `None` (both views at 384 x 384), an `ObservationSpec`, or a mapping of
-            `PixelSpec`'s fields.
+        observation: the name of a preset or of an entry point, `raw` or `None` (both views at
+            384 x 384), `state`, `module:NAME`, an `ObservationSpec`, or a mapping of `PixelSpec`'s
+            fields.
         task: state vectors have slots for its largest variant.
 
     Raises:
         UnknownNameError: none of these.
-        ObservationError: invalid fields of `PixelSpec`.
+        ObservationError, RenderError: invalid fields of `PixelSpec`.
         PluginError: another distribution's observation cannot be found, or is something else.
     """
-    if observation is None:
-        return RAW
-    if _is_spec(observation):
-        return observation
-    names = {field.name for field in dataclasses.fields(PixelSpec)}
-    if isinstance(observation, Mapping) and set(observation) <= names:
-        return PixelSpec(**observation)
-    if isinstance(observation, str) and observation in PRESETS:
-        return PRESETS[observation]
-    if isinstance(observation, str) and observation in NAMED:
-        return NAMED[observation](task)
-    if isinstance(observation, str) and is_plugin(GROUP, observation):
-        offered = load_plugin(GROUP, observation)
-        made = offered(task) if callable(offered) and not _is_spec(offered) else offered
-        if not _is_spec(made):
-            raise PluginError(
-                f"observation {observation!r}: expected an ObservationSpec, or a function from the "
-                f"task to one, found {type(made).__name__}"
-            )
-        return made
-    known = ", ".join((*PRESETS, *NAMED, *plugins(GROUP)))
+    names = sorted(field.name for field in fields(PixelSpec))
+    made: Any = RAW if observation is None else observation
+    if isinstance(made, str):
+        built_in = {**PRESETS, "raw": RAW, STATE: StateSpec(task.max_blocks, task.max_regions)}
+        if made in built_in:
+            return built_in[made]
+        if is_plugin(GROUP, made):
+            offered = load_plugin(GROUP, made)
+            made = offered(task) if callable(offered) and not _is_spec(offered) else offered
+            if not _is_spec(made):
+                raise PluginError(
+                    f"observation {observation!r}: expected an ObservationSpec, or a function from "
+                    f"the task to one, found {type(made).__name__}"
+                )
+    elif isinstance(made, Mapping) and set(made) <= set(names):
+        return PixelSpec(**made)
+    if _is_spec(made):
+        spec: ObservationSpec = made
+        return spec
+    known = ", ".join((*PRESETS, "raw", STATE, *plugins(GROUP)))
     raise UnknownNameError(
         f"observation {quoted(observation)} is unknown; expected one of {known}, module:NAME, an "
-        f"ObservationSpec, or a mapping with some of {sorted(names)}"
+        f"ObservationSpec, or a mapping with some of {names}"
     )
 
 
@@ -95,12 +85,14 @@ def parse_spec(text: str, task: Task) -> ObservationSpec:
     """
     if text.startswith("{"):
         return parse_json(text, PixelSpec, "observation", UnknownNameError)
-    if text in PRESETS or text in NAMED or text in plugins(GROUP):
-        return make_spec(text, task)
-    known = ", ".join((*PRESETS, *NAMED, *plugins(GROUP)))
-    raise UnknownNameError(f"observation {quoted(text)} is unknown here; expected one of {known}")
+    known = (*PRESETS, "raw", STATE, *plugins(GROUP))
+    if text not in known:
+        raise UnknownNameError(
+            f"observation {quoted(text)} is unknown here; expected one of {', '.join(known)}"
+        )
+    return make_spec(text, task)
 
 
-def _is_spec(observation: Any) -> TypeGuard[ObservationSpec]:
+def _is_spec(observation: object) -> bool:
     # isinstance of a protocol would read its properties, and `network_shape` may raise.
     return callable(getattr(type(observation), "observer", None))

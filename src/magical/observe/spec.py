@@ -1,20 +1,18 @@
 """Observation specifications: the one interface to every kind of observation.
 
-An `ObservationSpec` owns its Gymnasium space, the arrays that observations are stored in, how they
-are made while an episode runs (`Observer`) and from a stored episode (`read`), and their network
-input. Code outside this package need not know which kind of observation it has.
+Code outside this package need not know which kind of observation it has: one array, or a dict of
+arrays by name.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
-from magical.observe.arrays import ArrayFields
-from magical.scene.scene import Scene
-from magical.scene.vocabulary import View
+from magical.errors import ObservationError
+from magical.scene.scene import Scene, View
 
 
 class Observer(Protocol):
@@ -46,25 +44,11 @@ class EpisodeSource(Protocol):
     def scene(self) -> Scene:
         """The initial scene."""
 
-    def __len__(self) -> int:
-        """The number of actions T; step 0 is before the first."""
-
     def frames(self, view: View, size: int, samples: int | None) -> FrameSource:
         """Its frames in one view at one resolution."""
 
     def body_states(self) -> NDArray[np.float64]:
         """Poses and velocities of every body at every step, (T + 1, 5 + blocks, 6)."""
-
-
-class Component(Protocol):
-    """A part of an observation as a network gets it: an array per step, stacked `frames` deep."""
-
-    @property
-    def frames(self) -> int:
-        """How many of the latest steps are stacked along the first axis."""
-
-    def read(self, source: EpisodeSource, times: NDArray[np.intp]) -> NDArray[Any]:
-        """The arrays of the steps `times` (B,): (B, channels, ...), not yet stacked."""
 
 
 class ObservationSpec(Protocol):
@@ -75,12 +59,9 @@ class ObservationSpec(Protocol):
         """The Gymnasium space."""
 
     @property
-    def fields(self) -> ArrayFields:
-        """Shape and type of each array of one observation, by name."""
-
-    @property
     def frames(self) -> int:
         """How many of the latest steps one observation depends on."""
+        return max(frames for _, frames in self.components)
 
     @property
     def num_images(self) -> int:
@@ -94,8 +75,12 @@ class ObservationSpec(Protocol):
         """
 
     @property
-    def components(self) -> Sequence[Component]:
-        """What `network_input` consists of, in the order of its first axis."""
+    def components(self) -> "Sequence[tuple[ObservationSpec, int]]":
+        """What `network_input` consists of, in the order of its first axis.
+
+        Each is what is observed in a single step, channels first, and how many of these are
+        stacked along the first axis.
+        """
 
     def network_input(self, observations: Any) -> NDArray[Any]:
         """A batch of observations (B, ...) as a network gets it, (B, *network_shape); a view.
@@ -103,18 +88,52 @@ class ObservationSpec(Protocol):
         Raises `ObservationError` for arrays of another shape or type.
         """
 
-    def picture(self, observation: Any) -> NDArray[np.uint8] | None:
-        """One observation as an RGB image (H, W, 3) to look at; `None` if it is not an image."""
-
     def observer(self, out: Any = None) -> Observer:
         """An observer that writes into `out`, or into new arrays."""
 
-    def read(self, source: EpisodeSource, times: ArrayLike, out: Any = None) -> Any:
-        """The observations of a stored episode at the steps `times` (B,), each 0 to T.
+    def read(self, source: EpisodeSource, times: ArrayLike) -> Any:
+        """The observations (B, ...) of a stored episode at the steps `times` (B,), each 0 to T.
 
-        Step 0 is what `reset` returned, t what the t-th `step` returned. Returns arrays of shape
-        (B, *shape) as `fields` has them, written into `out` if it is given.
+        Step 0 is what `reset` returned, t what the t-th `step` returned.
         """
 
     def to_dict(self) -> Any:
         """Plain data for JSON, from which `make_spec` makes the same specification again."""
+
+
+def map_arrays(function: Callable[..., Any], observation: Any, *others: Any) -> Any:
+    """Apply a function to the arrays of observations: one each, or those of a name in dicts."""
+    if isinstance(observation, dict):
+        return {k: function(array, *(o[k] for o in others)) for k, array in observation.items()}
+    return function(observation, *others)
+
+
+def select(observations: Any, rows: Any) -> Any:
+    """Some rows of a batch of observations: a view for an integer or a slice, not a copy."""
+    return map_arrays(lambda array: array[rows], observations)
+
+
+def copy_arrays(observation: Any) -> Any:
+    """A copy of the observation."""
+    return map_arrays(lambda array: array.copy(), observation)
+
+
+def checked(inputs: NDArray[Any], shape: tuple[int, ...], dtype: Any) -> NDArray[Any]:
+    """A network's input (B, *shape); raises `ObservationError` if it is another."""
+    if inputs.dtype != dtype or inputs.shape[1:] != shape:
+        raise ObservationError(
+            f"observations: expected {np.dtype(dtype)} of shape (B, {', '.join(map(str, shape))}) "
+            f"for the network, found {inputs.dtype} of shape {inputs.shape}; make the environments "
+            "with the observation that the policy was trained on"
+        )
+    return inputs
+
+
+def stack_indices(times: ArrayLike, frames: int) -> NDArray[np.intp]:
+    """The times of the frames in stacks that end at `times`: (B, frames), oldest first.
+
+    Before the first step the first frame is repeated (docs/specification.md, section 7).
+    """
+    newest = np.asarray(times, np.intp)[:, None]
+    indices: NDArray[np.intp] = np.maximum(newest + np.arange(1 - frames, 1), 0)
+    return indices

@@ -19,13 +19,11 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
-from magical.errors import InvalidSceneError, ObservationError
-from magical.observe.arrays import SINGLE, ArrayFields
-from magical.observe.spec import EpisodeSource
+from magical.errors import InvalidSceneError
+from magical.observe.spec import EpisodeSource, ObservationSpec, checked
 from magical.scene.constants import WORKSPACE_HALF
 from magical.scene.poses import FINGERS, FIRST_BLOCK, ROBOT
-from magical.scene.scene import Scene
-from magical.scene.vocabulary import COLOURS, SHAPES
+from magical.scene.scene import COLOURS, SHAPES, Scene
 
 STATE = "state"  # the name of this observation
 
@@ -48,8 +46,8 @@ def _bounds(entry: str) -> tuple[float, float]:
     return 0.0, 2 * WORKSPACE_HALF if entry in ("height", "width") else 1.0
 
 
-@dataclass(frozen=True, slots=True)
-class StateSpec:
+@dataclass(frozen=True)
+class StateSpec(ObservationSpec):
     """A state vector with slots for `max_blocks` blocks and `max_regions` regions."""
 
     max_blocks: int
@@ -66,22 +64,13 @@ class StateSpec:
     @property
     def size(self) -> int:
         """The vector's length."""
-        return len(_ROBOT) + len(_BLOCK) * self.max_blocks + len(_REGION) * self.max_regions
+        return len(self.names)
 
     @property
     def space(self) -> spaces.Box:
         entries = (name.split(".")[1] for name in self.names)
         low, high = np.array([_bounds(entry) for entry in entries], np.float32).T
         return spaces.Box(low, high, dtype=np.float32)
-
-    @property
-    def fields(self) -> ArrayFields:
-        return {SINGLE: ((self.size,), np.float32)}
-
-    @property
-    def frames(self) -> int:
-        """1, since velocities are part of the vector."""
-        return 1
 
     @property
     def num_images(self) -> int:
@@ -92,38 +81,26 @@ class StateSpec:
         return (self.size,)
 
     @property
-    def components(self) -> "tuple[StateSpec]":
-        """The vectors themselves."""
-        return (self,)
+    def components(self) -> "tuple[tuple[StateSpec, int]]":
+        return ((self, 1),)  # velocities are part of the vector
 
     def network_input(self, observations: Any) -> NDArray[Any]:
-        array = np.asarray(observations)
-        if array.dtype != np.float32 or array.shape[1:] != (self.size,):
-            raise ObservationError(
-                f"observations: expected state vectors, float32 of shape (B, {self.size}), found "
-                f"{array.dtype} of shape {array.shape}"
-            )
-        return array
-
-    def picture(self, observation: Any) -> None:
-        """None, as a vector is not an image."""
+        return checked(np.asarray(observations), self.network_shape, np.float32)
 
     def observer(self, out: NDArray[np.float32] | None = None) -> "StateObserver":
         return StateObserver(self, out)
 
-    def read(self, source: EpisodeSource, times: ArrayLike, out: Any = None) -> Any:
-        bodies = source.body_states()
-        observer = self.observer()
+    def read(self, source: EpisodeSource, times: ArrayLike) -> NDArray[np.float32]:
+        bodies, observer = source.body_states(), self.observer()
         observer.start(source.scene, bodies[0])
         vectors = np.empty((len(bodies), self.size), np.float32)
         for vector, step in zip(vectors, bodies, strict=True):
             observer.update(step)
             vector[:] = observer.out
-        return np.take(vectors, np.asarray(times, np.intp), axis=0, out=out)
+        return vectors[np.asarray(times, np.intp)]
 
     def to_dict(self) -> str:
-        """The size follows from the task."""
-        return STATE
+        return STATE  # the size follows from the task
 
 
 class StateObserver:
@@ -155,16 +132,8 @@ class StateObserver:
 
     def update(self, bodies: NDArray[np.float64]) -> None:
         """Observe the next step."""
-        self._write(self.out[:7], bodies[ROBOT])
-        relative = bodies[FINGERS] - bodies[ROBOT]
-        self.out[7:9] = relative[:, 2]
-        self.out[9:11] = relative[:, 5]
-        blocks = bodies[FIRST_BLOCK:]
-        self._write(self._blocks[: len(blocks), len(_KIND) :], blocks)
-
-    @staticmethod
-    def _write(out: NDArray[np.float32], rows: NDArray[np.float64]) -> None:
-        out[..., 0:2] = rows[..., 0:2]
-        np.cos(rows[..., 2], out=out[..., 2], casting="same_kind")
-        np.sin(rows[..., 2], out=out[..., 3], casting="same_kind")
-        out[..., 4:7] = rows[..., 3:6]
+        turns = bodies[:, 2]
+        motion = np.column_stack([bodies[:, :2], np.cos(turns), np.sin(turns), bodies[:, 3:]])
+        self.out[:7] = motion[ROBOT]
+        self.out[7:11] = (bodies[FINGERS] - bodies[ROBOT])[:, [2, 5]].T.ravel()
+        self._blocks[: len(bodies) - FIRST_BLOCK, len(_KIND) :] = motion[FIRST_BLOCK:]

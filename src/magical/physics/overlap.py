@@ -10,12 +10,10 @@ import pymunk
 from magical.physics.simulation import block_shapes
 from magical.scene import constants as c
 from magical.scene.geometry import rectangle, robot_polygons
-from magical.scene.scene import Pose, Region
-from magical.scene.vocabulary import Shape
+from magical.scene.scene import Pose, Region, Shape
 
 Kind = Shape | Region | None  # a block, a goal region, the robot with open fingers
 AWAY = Pose(1e4, 1e4, 0.0)  # where solids are before they are placed
-_local = threading.local()
 
 
 class Solid:
@@ -55,7 +53,7 @@ class Solid:
         self.beyond_wall = reach - c.WORKSPACE_HALF
 
 
-class Solids:
+class Solids(threading.local):
     """Solids, placed one after the other, in a pymunk space that is never stepped.
 
     A thread's scenes share one: making pymunk's objects would take most of the time.
@@ -70,15 +68,13 @@ class Solids:
     @staticmethod
     def cleared() -> "Solids":
         """This thread's, with nothing placed."""
-        if not hasattr(_local, "solids"):
-            _local.solids = Solids()
-        solids: Solids = _local.solids
+        solids = _solids
         for solid in solids._taken:
             if isinstance(solid.kind, Region):  # of its own size
                 solids.space.remove(solid.body, *solid.shapes)
             else:
                 solid.move(AWAY)
-                solids.space.reindex_shapes_for_body(solid.body)
+                solids.place(solid)
                 solids._spare[solid.kind].append(solid)
         solids._taken.clear()
         return solids
@@ -108,3 +104,6 @@ class Solids:
                 # Of polygons that coincide, Chipmunk finds none.
                 distance = math.dist(other.pose[:2], solid.pose[:2])
                 yield other, max(depth, other.core + solid.core - distance)
+
+
+_solids = Solids()  # of each thread

@@ -8,13 +8,11 @@ import pymunk
 import pymunk.autogeometry
 from numpy.typing import NDArray
 
-from magical.errors import InvalidSceneError
-from magical.physics.chipmunk import Outline, Part, World, address, move, to_world
+from magical.physics.world import Outline, Part, World, move, to_world
 from magical.scene import constants as c
 from magical.scene.geometry import Point, block_outline, finger_polygons, rotate
 from magical.scene.poses import Poses
-from magical.scene.scene import Block, Dynamics, Pose, Scene
-from magical.scene.vocabulary import Shape
+from magical.scene.scene import Block, Dynamics, Pose, Scene, Shape
 
 ORIGIN = (0.0, 0.0)
 ROBOT_GROUP = 1  # collision group shared by all shapes of the robot
@@ -41,45 +39,37 @@ class Simulation:
         self._world = world = World(c.SOLVER_ITERATIONS, c.COLLISION_SLOP)
         add_walls(world)
         if scene.robot_first:
-            robot = add_robot(world, scene.robot, self.dynamics)
+            robot, driven = add_robot(world, scene.robot, self.dynamics)
         blocks = [
-            add_block(world, block, self.dynamics, group=ROBOT_GROUP + 1 + i)
-            for i, block in enumerate(scene.blocks)
+            add_block(world, block, self.dynamics, group)
+            for group, block in enumerate(scene.blocks, ROBOT_GROUP + 1)
         ]
         if not scene.robot_first:
-            robot = add_robot(world, scene.robot, self.dynamics)
-        body, control, gear, fingers, motors, eyes = robot
-        self._bodies = [body, *fingers, *eyes, *blocks]
-        parts = (world.space, body, control, gear, *fingers, *motors)
-        self.robot = np.array([address(part) for part in parts])
-        turns = np.array([address(each) for each in self._bodies])
-        places = turns.copy()
-        places[3:5] = turns[0]  # eyes have no position of their own
-        self.places = np.stack([places, turns], axis=1)
+            robot, driven = add_robot(world, scene.robot, self.dynamics)
+        self._bodies = [*robot, *blocks]
+        self.robot = np.array([substeps.address(part) for part in (world.space, *driven)])
+        turns = np.array([substeps.address(each) for each in self._bodies])
+        positions = turns.copy()
+        positions[3:5] = turns[0]  # eyes have no position of their own
+        self.places = np.stack([positions, turns], axis=1)
         self._only_row = _ROW, self.robot[None], self.places[None]
 
     def step(self, action: Sequence[float] | NDArray[np.float64]) -> NDArray[np.float64]:
-        """Advance by one control step of 1/8 s.
+        """Advance by one control step of 1/8 s; returns what `read` returns.
 
         Args:
             action: drive, turn and grip, each from -1 to 1; not checked here.
-
-        Returns:
-            What `read` returns.
         """
         out = np.empty((1, len(self._bodies), 6))
-        actions = np.array([action], np.float64)
-        self._kernels.step_rows(*self._only_row, actions, out)
+        self._kernels.step_rows(*self._only_row, np.array([action], np.float64), out)
         bodies: NDArray[np.float64] = out[0]
         return bodies
 
     def read(self) -> NDArray[np.float64]:
-        """Pose and velocity of every body.
+        """Pose and velocity of every body, a new array (5 + number of blocks, 6).
 
-        Returns:
-            A new array (5 + number of blocks, 6) in the rows of `Poses`: x, y, angle and their
-            velocities, in units, radians and seconds. Eyes have no position of their own; theirs
-            is the robot's.
+        In the rows of `Poses`: x, y, angle and their velocities, in units, radians and seconds. The
+        eyes' positions are the robot's.
         """
         out = np.empty((len(self._bodies), 6))
         self._kernels.read_one(self.places, out)
@@ -96,15 +86,8 @@ class Simulation:
 
         Args:
             bodies: (5 + number of blocks, 6), as `read` returns it; the eyes' positions have
-                no effect.
-
-        Raises `InvalidSceneError` for a value that is not finite or beyond `MAX_COORDINATE`.
+                no effect. The solver needs finite numbers up to `MAX_COORDINATE`.
         """
-        furthest = np.abs(bodies).max()
-        if not furthest <= c.MAX_COORDINATE:  # also true for NaN
-            raise InvalidSceneError(
-                f"poses: expected finite numbers up to {c.MAX_COORDINATE:g}, found {furthest:g}"
-            )
         for body, row in zip(self._bodies, bodies.tolist(), strict=True):
             move(body, row)
 
@@ -156,23 +139,26 @@ def _star_parts() -> list[list[pymunk.Vec2d]]:
     return pymunk.autogeometry.convex_decomposition(outline + outline[:1], 0)
 
 
-def add_robot(
-    world: World, pose: Pose, dynamics: Dynamics
-) -> tuple[Part, Part, Part, list[Part], list[Part], list[Part]]:
+def add_robot(world: World, pose: Pose, dynamics: Dynamics) -> tuple[list[Part], list[Part]]:
     """Add the robot.
 
     Returns:
-        Its body, its control body, the gear joint between them, both fingers, their motors, both
-        eyes.
+        Its body, both fingers, both eyes; and what `substeps.step_rows` needs: its body, its
+        control body, the gear joint between them, both fingers, their motors.
     """
     moment = pymunk.moment_for_circle(c.ROBOT_MASS, 0, c.ROBOT_RADIUS)
-    body = world.body(c.ROBOT_MASS, moment, pose)
-    control = world.kinematic(pose)
-    force = dynamics.body_pivot_max_force
-    world.joint("PivotJointNew2", (control, body), ORIGIN, ORIGIN, max_bias=0.0, max_force=force)
+    body, control = world.body(c.ROBOT_MASS, moment, pose), world.kinematic(pose)
+    pair, force = (control, body), dynamics.body_pivot_max_force
+    world.joint("PivotJointNew2", pair, ORIGIN, ORIGIN, max_bias=0.0, max_force=force)
     limits = {"max_bias": c.TURN_MAX_BIAS, "max_force": dynamics.body_gear_max_force}
-    gear = world.joint("GearJointNew", (control, body), 0.0, 1.0, error_bias=0.0, **limits)
-    eyes = [_add_eye(world, body, pose) for _ in c.SIDES]
+    gear = world.joint("GearJointNew", pair, 0.0, 1.0, error_bias=0.0, **limits)
+    moment = pymunk.moment_for_circle(c.EYE_MASS, 0, c.ROBOT_RADIUS)
+    eyes = []
+    for _ in c.SIDES:
+        eyes.append(world.body(c.EYE_MASS, moment, pose))
+        # The spring's max_force stays unlimited: a limit changes how the robot turns.
+        spring = 0.0, c.EYE_SPRING_STIFFNESS, c.EYE_SPRING_DAMPING
+        world.joint("DampedRotarySpringNew", (body, eyes[-1]), *spring)
     fingers, motors = zip(
         *(_add_finger(world, body, side, pose, dynamics) for side in c.SIDES), strict=True
     )
@@ -180,15 +166,7 @@ def add_robot(
     for finger, side in zip(fingers, c.SIDES, strict=True):
         for polygon in finger_polygons(side):
             world.shape(finger, polygon, 0.0, c.FINGER_FRICTION, ROBOT_GROUP)
-    return body, control, gear, list(fingers), list(motors), eyes
-
-
-def _add_eye(world: World, body: Part, pose: Pose) -> Part:
-    # The spring's max_force stays unlimited: a limit changes how the robot turns.
-    eye = world.body(c.EYE_MASS, pymunk.moment_for_circle(c.EYE_MASS, 0, c.ROBOT_RADIUS), pose)
-    spring = 0.0, c.EYE_SPRING_STIFFNESS, c.EYE_SPRING_DAMPING
-    world.joint("DampedRotarySpringNew", (body, eye), *spring)
-    return eye
+    return [body, *fingers, *eyes], [body, control, gear, *fingers, *motors]
 
 
 def _add_finger(
@@ -221,23 +199,10 @@ def _finger_moment(side: int) -> float:
 _MAX_POWER = 12
 
 
-def published_error(root: Point, pose: Pose) -> Point:
-    """The vector between a pin joint's anchors at the start, as pymunk 5.6.0 computes it.
-
-    Args:
-        root: where the finger is attached, in the robot's frame.
-        pose: the robot's pose.
-
-    Returns:
-        The rounding error of `pose` + rotated `root`, some 1e-17 units; often 0 in a coordinate.
-    """
-    root_x, root_y = rotate(root, pose.angle)
-    finger_x, finger_y = pose.x + root_x, pose.y + root_y
-    return (finger_x - pose.x) - root_x, (finger_y - pose.y) - root_y
-
-
 def finger_position(body: Part, root: Point, pose: Pose) -> Point:
     """The initial position of a finger: its root in the workspace, displaced by some 1e-15 units.
+
+    `body` is the robot's, already at `pose`, `root` where the finger is attached, in its frame.
 
     A pin joint pulls along the line between its anchors. A finger hangs on a pin of zero length, so
     initially this line is a rounding error, normalised. Chipmunk computes it (cpPinJoint.c) as
@@ -250,20 +215,17 @@ def finger_position(body: Part, root: Point, pose: Pose) -> Point:
 
         ((finger - robot) + 0) - root
 
-    which is the rounding error of robot + root. Its direction decides how the robot starts to move;
-    the first step differs by some 1e-4 units. Here the finger is displaced by a power of two times
-    that error, which gives the first expression the published direction to the last bit. The
-    smallest power that is a whole number of spacings of floating-point numbers at the finger is
-    used, because the effect of the pin's length, which the published one lacks, grows with it. A
-    pin joint made afterwards takes the displacement as its length and is at rest.
-
-    Args:
-        body: the robot's, already at `pose`.
-        root: where the finger is attached, in the robot's frame.
-        pose: the robot's pose.
+    which is the rounding error of robot + root, some 1e-17 units. Its direction decides how the
+    robot starts to move; the first step differs by some 1e-4 units. Here the finger is displaced by
+    a power of two times that error, which gives the first expression the published direction to the
+    last bit. The smallest power that is a whole number of spacings of floating-point numbers at the
+    finger is used, because the effect of the pin's length, which the published one lacks, grows
+    with it. A pin joint made afterwards takes the displacement as its length and is at rest.
     """
     x, y = to_world(body, root)  # as Chipmunk computes it, which is what the pin subtracts
-    error_x, error_y = published_error(root, pose)
+    root_x, root_y = rotate(root, pose.angle)
+    error_x = ((pose.x + root_x) - pose.x) - root_x
+    error_y = ((pose.y + root_y) - pose.y) - root_y
     for power in range(_MAX_POWER + 1):
         step_x, step_y = 2**power * error_x, 2**power * error_y
         start = x + step_x, y + step_y

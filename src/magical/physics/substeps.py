@@ -1,22 +1,67 @@
 """Control steps of any number of simulations as one compiled call.
 
-Spaces, bodies and joints are given by their addresses. Values for which Chipmunk has no function of
-plain numbers are read and written in a body's memory, at the indices that `chipmunk` has checked.
-The interpreter's lock is not held, so threads can step different simulations.
+Spaces, bodies and joints are given by their addresses. Names, signatures and layout of Chipmunk's C
+functions and structs are private to pymunk and may change between releases, so importing this
+module checks them once. pymunk's public functions step at the same motions, but take a third
+longer, and hold the interpreter's lock between substeps; here threads can step different
+simulations at the same time.
 """
 
 import math
+from typing import Any
 
 import numpy as np
+import pymunk
 from numpy.typing import NDArray
+from pymunk._chipmunk_cffi import ffi, lib
 
 from magical.compiled import ADDRESS, FLOAT, c_function, floats_at, inlined, kernel
-from magical.physics.chipmunk import ANGLE, C_FUNCTIONS, POSITION, SIGNATURES, SPIN, VELOCITY
+from magical.errors import DependencyVersionError
 from magical.scene import constants as c
 
-step_space, set_angle, set_motor_rate, set_max_bias = (
-    c_function(name, C_FUNCTIONS[name], ADDRESS, FLOAT) for name in SIGNATURES
-)
+# The C functions that compiled code calls.
+SIGNATURES = {
+    "cpSpaceStep": "void(*)(struct cpSpace *, double)",
+    "cpBodySetAngle": "void(*)(struct cpBody *, double)",
+    "cpSimpleMotorSetRate": "void(*)(struct cpConstraint *, double)",
+    "cpConstraintSetMaxBias": "void(*)(struct cpConstraint *, double)",
+}
+# A body of mass 2 and moment 4 in memory, after two pointers: mass, moment and their inverses,
+# centre of gravity, position (5, 6), velocity (7, 8), force, angle 9, angular velocity 10.
+LAYOUT = [2.0, 0.5, 4.0, 0.25, 0.0, 0.0, 5.0, 6.0, 7.0, 8.0, 0.0, 0.0, 9.0, 10.0]
+POINTERS = 2  # of 8 bytes, like the numbers
+POSITION, VELOCITY, ANGLE, SPIN = (POINTERS + LAYOUT.index(n) for n in (5.0, 7.0, 9.0, 10.0))
+
+
+def address(part: Any) -> int:
+    """The address of a space, a body or a joint of a `World`."""
+    return int(ffi.cast("intptr_t", part))
+
+
+def c_functions() -> list[Any]:
+    """The functions in `SIGNATURES`, for kernels to call.
+
+    Raises:
+        DependencyVersionError: pymunk lacks one of them, one has other arguments, or a body has
+            another layout in memory.
+    """
+    body = pymunk.Body(2.0, 4.0)
+    body.position, body.velocity = (5.0, 6.0), (7.0, 8.0)
+    body.angle, body.angular_velocity = 9.0, 10.0
+    size = 8 * (POINTERS + len(LAYOUT))
+    memory = np.frombuffer(ffi.buffer(ffi.cast("char *", body._body), size))
+    functions = {name: ffi.addressof(lib, name) for name in SIGNATURES if hasattr(lib, name)}
+    found = {name: ffi.typeof(function).cname for name, function in functions.items()}
+    if found != SIGNATURES or memory[POINTERS:].tolist() != LAYOUT:
+        raise DependencyVersionError(
+            f"expected the C functions and bodies of pymunk 7.3, found others in pymunk "
+            f"{pymunk.version}; pip install 'pymunk>=7.3,<7.4'"
+        )
+    addresses = [(name, int(ffi.cast("intptr_t", f))) for name, f in functions.items()]
+    return [c_function(name, value, ADDRESS, FLOAT) for name, value in addresses]
+
+
+step_space, set_angle, set_motor_rate, set_max_bias = c_functions()
 
 
 @inlined

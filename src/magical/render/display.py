@@ -23,8 +23,7 @@ from magical.scene.geometry import (
     star_polygon,
 )
 from magical.scene.poses import EYES, FINGERS, FIRST_BLOCK, ROBOT
-from magical.scene.scene import Block, Scene
-from magical.scene.vocabulary import Shape
+from magical.scene.scene import Scene, Shape
 
 BLOCK_INSET = 0.015  # units: width of a block's outline
 ROBOT_INSET = 0.01  # units: width of the robot's outline
@@ -58,20 +57,25 @@ class DisplayList(NamedTuple):
     vertices: NDArray[np.float64]  # (2, V): x and y, in their bodies' frames
     items: NDArray[np.int64]  # (n, 5): first vertex, vertices, anchor row, turn row, colour's lanes
     offsets: NDArray[np.float64]  # (n, 2): in the anchor's frame
-    ground: NDArray[np.float64]  # (1 + R, 4, 2): workspace and regions, clockwise from top left
-    colours: NDArray[np.int64]  # (1 + R, 2): their fill and edge, as lanes
+    # The workspace and R regions, clockwise from the top left, as edges are stroked and dashes are
+    # counted, (1 + R, 4, 2), and their fill and edge as lanes, (1 + R, 2).
+    ground: NDArray[np.float64]
+    colours: NDArray[np.int64]
 
 
 def display_list(scene: Scene) -> DisplayList:
     """All polygons of a scene, in rendering order (docs/specification.md, section 6)."""
     half = c.WORKSPACE_HALF
-    areas = [(-half, half, 2 * half, 2 * half)]
-    areas += [(r.x, r.y, r.height, r.width) for r in scene.regions]
-    ground = np.array([_corners(*area) for area in areas])
+    sides = [(-half, half, half, -half)]  # left, top, right, bottom
+    sides += [(r.x, r.y, r.x + r.width, r.y - r.height) for r in scene.regions]
+    ground = [((x, y), (right, y), (right, bottom), (x, bottom)) for x, y, right, bottom in sides]
     shades = [SHADES[region.colour] for region in scene.regions]
     colours = [(WHITE, GREY), *((shade.region, shade.fill) for shade in shades)]
+    blocks = []
+    for row, block in enumerate(scene.blocks, FIRST_BLOCK):
+        (outline, fill), shade = block_shapes(block.shape), SHADES[block.colour]
+        blocks += [Part(outline, shade.outline, row, row), Part(fill, shade.fill, row, row)]
     robot = _robot_parts()
-    blocks = [part for row, block in enumerate(scene.blocks) for part in _block_parts(row, block)]
     parts = [*robot, *blocks] if scene.robot_first else [*blocks, *robot]
     items, offsets, polygons = [], [], []
     first = 0
@@ -86,7 +90,7 @@ def display_list(scene: Scene) -> DisplayList:
         np.concatenate(polygons, axis=1),
         np.array(items, np.int64),
         np.array(offsets),
-        ground,
+        np.array(ground),
         np.array([tuple(map(lanes, pair)) for pair in colours], np.int64),
     )
 
@@ -133,12 +137,6 @@ def _vertices(*polygons: Polygon) -> tuple[Vertices, ...]:
     return tuple(np.array(polygon).T for polygon in polygons)
 
 
-def _block_parts(index: int, block: Block) -> tuple[Part, Part]:
-    row, shades = FIRST_BLOCK + index, SHADES[block.colour]
-    outline, fill = block_shapes(block.shape)
-    return Part(outline, shades.outline, row, row), Part(fill, shades.fill, row, row)
-
-
 @cache
 def _robot_parts() -> tuple[Part, ...]:
     parts = []
@@ -157,9 +155,3 @@ def _robot_parts() -> tuple[Part, ...]:
     eyes = zip(c.SIDES, range(EYES.start, EYES.stop), strict=True)
     parts += [Part(pupil, PUPIL, ROBOT, row, (side * EYE_X, EYE_Y)) for side, row in eyes]
     return tuple(parts)
-
-
-def _corners(x: float, y: float, height: float, width: float) -> tuple[Point, ...]:
-    """Corners clockwise from the top left, as edges are stroked and dashes are counted."""
-    right, bottom = x + width, y - height
-    return (x, y), (right, y), (right, bottom), (x, bottom)

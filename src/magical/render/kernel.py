@@ -419,56 +419,48 @@ def composite(canvas: Canvas, pixels: Pixels) -> None:
         canvas.touched[0, y], canvas.touched[1, y] = size, 0
 
 
-@inlined
-def draw(
-    canvas: Canvas, ego: bool, fresh: bool, whole: bool, kept: Pixels, pixels: Pixels,
-    bodies: Floats, vertices: Floats, items: Ints, offsets: Floats, areas: Floats, colours: Ints,
-) -> int:  # fmt: skip
-    """Draw a frame into `pixels`; returns the number of the ground's tiles, -1 for far poses.
-
-    The ground, finished in `kept`, is drawn if `fresh`, and else still there. In the egocentric
-    view it always is, and `kept` may be `pixels`. `whole` is for `outline`. `bodies` (n, 3 or more)
-    are poses in the rows of `Poses`; then come the arrays of `display.DisplayList`.
-    """
-    for i in range(len(bodies)):
-        for k in range(3):
-            if not abs(bodies[i, k]) <= FURTHEST:  # also true for NaN
-                return -1
-    samples = canvas.samples * canvas.samples
-    camera(bodies, ego, float(canvas.size * canvas.samples), canvas.frames)
-    if fresh:
-        draw_ground(canvas, areas, colours, canvas.frames[len(bodies)], ego, whole)
-        for pixel in range(len(pixels)):
-            kept[pixel] = pack(canvas.ground[pixel])
-        for tile in range(canvas.opened[0]):
-            if canvas.ground[canvas.owners[tile]] == ~tile:  # nothing was painted over it
-                total = 0
-                for i in range(samples):
-                    total += canvas.tiles[tile, i]
-                kept[canvas.owners[tile]] = mean(total, samples)
-    if not ego:
-        for pixel in range(len(pixels)):
-            pixels[pixel] = kept[pixel]
-    draw_bodies(canvas, vertices, items, offsets)
-    composite(canvas, pixels)
-    count: int = canvas.opened[0]
-    return count
-
-
 @cache
 def frame_kernel(samples: int) -> Callable[..., int]:
-    """`draw`, compiled for samples x samples samples in a pixel (1, 2 or 4 across)."""
+    """The compiled renderer for samples x samples samples in a pixel (1, 2 or 4 across)."""
 
     @kernel
-    def render(
+    def draw(
         size: int, ego: bool, fresh: bool, whole: bool, kept: Pixels, pixels: Pixels,
         bodies: Floats, vertices: Floats, items: Ints, offsets: Floats, areas: Floats,
         colours: Ints, *memory: Any,
     ) -> int:  # fmt: skip
-        canvas, scene = Canvas(size, samples, *memory), (vertices, items, offsets, areas, colours)
-        return draw(canvas, ego, fresh, whole, kept, pixels, bodies, *scene)
+        """Draw a frame into `pixels`; returns the number of the ground's tiles, -1 for far poses.
 
-    return render
+        The ground, finished in `kept`, is drawn if `fresh`, and else still there. In the egocentric
+        view it always is, and `kept` may be `pixels`. `whole` is for `outline`. `bodies` (n, 3 or
+        more) are poses in the rows of `Poses`; then come the arrays of `display.DisplayList` and
+        those of `Canvas`.
+        """
+        for i in range(len(bodies)):
+            for k in range(3):
+                if not abs(bodies[i, k]) <= FURTHEST:  # also true for NaN
+                    return -1
+        canvas = Canvas(size, samples, *memory)
+        camera(bodies, ego, float(size * samples), canvas.frames)
+        if fresh:
+            draw_ground(canvas, areas, colours, canvas.frames[len(bodies)], ego, whole)
+            for pixel in range(len(pixels)):
+                kept[pixel] = pack(canvas.ground[pixel])
+            for tile in range(canvas.opened[0]):
+                if canvas.ground[canvas.owners[tile]] == ~tile:  # nothing was painted over it
+                    total = 0
+                    for i in range(samples * samples):
+                        total += canvas.tiles[tile, i]
+                    kept[canvas.owners[tile]] = mean(total, samples * samples)
+        if not ego:
+            for pixel in range(len(pixels)):
+                pixels[pixel] = kept[pixel]
+        draw_bodies(canvas, vertices, items, offsets)
+        composite(canvas, pixels)
+        count: int = canvas.opened[0]
+        return count
+
+    return draw
 
 
 @kernel

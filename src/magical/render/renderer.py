@@ -13,8 +13,7 @@ from magical.render.display import display_list
 from magical.render.kernel import FURTHEST, Pixels, frame_kernel, push, scratch, write
 from magical.scene import constants as c
 from magical.scene.poses import FIRST_BLOCK, Poses
-from magical.scene.scene import Pose, Scene
-from magical.scene.vocabulary import View, parse_word
+from magical.scene.scene import Pose, Scene, View, chosen_samples, parse_word
 
 CHANNELS = 3  # of a frame: red, green, blue
 STACKED = 12  # channels of the stacks that `push` shifts
@@ -28,23 +27,6 @@ class _Thread(threading.local):
 
 
 _thread = _Thread()
-
-
-def default_samples(size: int) -> int:
-    """Samples across a pixel: the fewest that make at least 384 across a frame, at most 4."""
-    return next((n for n in c.SAMPLES if n * size >= c.RAW_FRAME_SIZE), max(c.SAMPLES))
-
-
-def checked_samples(size: int, samples: int | None) -> int:
-    """The samples across a pixel, `default_samples` for None; raises `RenderError`."""
-    if isinstance(size, int) and 0 < size <= c.MAX_FRAME_SIZE and samples in (None, *c.SAMPLES):
-        chosen = default_samples(size) if samples is None else int(samples)  # no kernel takes float
-        if size * chosen <= c.MAX_SAMPLES_ACROSS:
-            return chosen
-    raise RenderError(
-        f"expected a size from 1 to {c.MAX_FRAME_SIZE} and samples among {c.SAMPLES}, together at "
-        f"most {c.MAX_SAMPLES_ACROSS} across a frame, found {quoted(size)} and {quoted(samples)}"
-    )
 
 
 class Renderer:
@@ -76,7 +58,7 @@ class Renderer:
     ) -> None:
         self.view = parse_word(View, view)
         self.size = size
-        self.samples = checked_samples(size, samples)
+        self.samples = chosen_samples(size, samples)
         self._kernel = frame_kernel(self.samples)
         self._scene = display_list(scene)
         self._count = FIRST_BLOCK + len(scene.blocks)
@@ -95,24 +77,15 @@ class Renderer:
         Raises:
             RenderError: shapes or types do not match, or a pose is not finite or out of range.
         """
-        self._check(out, CHANNELS)
-        write(self._draw(bodies), out)
+        write(self._draw(bodies, out, CHANNELS), out)
 
     def render_stacked(self, bodies: NDArray[np.float64], stack: Image) -> None:
         """Shift a stack by one frame and render the newest into its last three channels.
 
-        Args:
-            bodies: as for `render`.
-            stack: (size, size, 3 * frames) uint8, oldest first, any layout.
-
-        Raises:
-            RenderError: shapes or types do not match, or a pose is not finite or out of range.
+        As `render`; the stack is (size, size, 3 * frames) uint8, oldest first, of any layout.
         """
         channels = stack.shape[-1]
-        self._check(stack, channels)
-        if channels % CHANNELS or not channels:
-            raise RenderError(f"expected a stack of whole frames, found {channels} channels")
-        pixels = self._draw(bodies)
+        pixels = self._draw(bodies, stack, max(channels - channels % CHANNELS, CHANNELS))
         if channels == STACKED and stack.flags.c_contiguous:
             words = stack.view("<u4").reshape(self.size, -1)
             if words.flags.aligned:
@@ -121,20 +94,17 @@ class Renderer:
         shift_stack(stack)
         write(pixels, stack[:, :, -CHANNELS:])
 
-    def _check(self, out: Image, channels: int) -> None:
+    def _draw(self, bodies: NDArray[np.float64], out: Image, channels: int) -> Pixels:
         shape = (self.size, self.size, channels)
         if out.shape != shape or out.dtype.char != "B" or not out.flags.writeable:
             raise RenderError(
                 f"expected a writeable array {shape} of uint8 to render into, found "
                 f"{out.shape} of {out.dtype}{'' if out.flags.writeable else ', read-only'}"
             )
-
-    def _draw(self, bodies: NDArray[np.float64]) -> Pixels:
-        shape = bodies.shape
-        if len(shape) != 2 or shape[0] != self._count or shape[1] < 3:
+        if bodies.ndim != 2 or bodies.shape[0] != self._count or bodies.shape[1] < 3:
             raise RenderError(
                 f"expected the poses (x, y, angle) of {self._count} bodies, five of the robot's "
-                f"and one for each block, found an array {shape}"
+                f"and one for each block, found an array {bodies.shape}"
             )
         pixels, ground, tiles, *memory = _thread.scratch(*self._key)
         kept, fresh = pixels, not self._ground
@@ -143,7 +113,7 @@ class Renderer:
         elif not self._ego:
             kept = np.empty_like(pixels)
         how = self.size, self._ego, fresh, self._whole, kept, pixels
-        rows = np.ascontiguousarray(bodies, float)
+        rows = np.array(bodies, np.float64, order="C")  # a read-only one would be compiled for anew
         count = self._kernel(*how, rows, *self._scene, ground, tiles, *memory)
         if count < 0:
             raise RenderError(

@@ -10,8 +10,18 @@ from magical.scene.actions import (
     to_discrete,
 )
 from magical.scene.poses import Poses, State
-from magical.scene.scene import Block, Dynamics, Pose, Region, Scene
-from magical.scene.vocabulary import COLOURS, SHAPES, Colour, Shape, View
+from magical.scene.scene import (
+    COLOURS,
+    SHAPES,
+    Block,
+    Colour,
+    Dynamics,
+    Pose,
+    Region,
+    Scene,
+    Shape,
+    View,
+)
 
 __all__ = [
     "ACTIONS",

@@ -65,12 +65,9 @@ NOOP = Action().id
 
 PARTS = ("drive", "turn", "grip")  # of a continuous action
 
-_DRIVE = {Longitudinal.STOP: 0.0, Longitudinal.FORWARD: 1.0, Longitudinal.BACK: -1.0}
-_TURN = {Turn.STRAIGHT: 0.0, Turn.LEFT: 1.0, Turn.RIGHT: -1.0}
-_GRIP = {Gripper.OPEN: -1.0, Gripper.CLOSED: 1.0}
-# Each discrete action as a continuous one.
-POINTS = tuple((_DRIVE[a.longitudinal], _TURN[a.turn], _GRIP[a.gripper]) for a in ACTIONS)
-
+# Each discrete action as a continuous one, by the numbers of its components.
+_SIGNS, _GRIPS = (0.0, 1.0, -1.0), (-1.0, 1.0)
+POINTS = tuple((_SIGNS[a.longitudinal], _SIGNS[a.turn], _GRIPS[a.gripper]) for a in ACTIONS)
 _POINTS = np.array(POINTS)
 
 

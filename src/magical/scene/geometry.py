@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical.scene import constants as c
-from magical.scene.scene import Pose
-from magical.scene.vocabulary import Shape
+from magical.scene.scene import Pose, Shape
 
 Point = tuple[float, float]
 Polygon = tuple[Point, ...]

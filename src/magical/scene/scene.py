@@ -1,18 +1,61 @@
-"""Poses, blocks, goal regions, scenes and dynamics, as plain frozen data."""
+"""The vocabulary of scenes, and scenes as plain frozen data (docs/specification.md, 3 to 6)."""
 
-import math
+import sys
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, fields
-from typing import Any, NamedTuple
+from enum import StrEnum
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from magical.errors import InvalidSceneError
+from magical.errors import InvalidSceneError, RenderError, UnknownNameError
 from magical.messages import quoted
-from magical.scene.constants import MAX_BLOCKS, MAX_COORDINATE, MAX_REGIONS
-from magical.scene.vocabulary import Colour, Shape, parse_word
+from magical.scene import constants as c
 
 _NUMBERS = (float, int, np.floating, np.integer)
+
+
+class Shape(StrEnum):
+    """A block's shape."""
+
+    SQUARE = "square"
+    CIRCLE = "circle"
+    PENTAGON = "pentagon"
+    STAR = "star"
+
+
+class Colour(StrEnum):
+    """A block's or goal region's colour."""
+
+    RED = "red"
+    GREEN = "green"
+    BLUE = "blue"
+    YELLOW = "yellow"
+
+
+class View(StrEnum):
+    """A camera: robot-centred (egocentric) or fixed (allocentric); appendix A.1."""
+
+    EGO = "ego"
+    ALLO = "allo"
+
+
+SHAPES = tuple(Shape)
+COLOURS = tuple(Colour)
+
+Word = TypeVar("Word", bound=StrEnum)
+
+
+def parse_word(kind: type[Word], value: Any) -> Word:
+    """Return the member of `kind` spelt `value`; raise `UnknownNameError` listing the members."""
+    try:
+        return kind(value)
+    except ValueError:
+        known = ", ".join(kind)
+        raise UnknownNameError(
+            f"{quoted(value)} is not a {kind.__name__.lower()}; expected one of: {known}"
+        ) from None
 
 
 class Pose(NamedTuple):
@@ -23,19 +66,31 @@ class Pose(NamedTuple):
     angle: float
 
 
-def _floats(what: str, values: Sequence[Any], count: int) -> list[float]:
-    """`count` finite numbers, including NumPy's, as floats; raises `InvalidSceneError`."""
-    try:
-        numbers = [float(value) for value in values if isinstance(value, _NUMBERS)]
-        if len(values) == len(numbers) == count and all(map(math.isfinite, numbers)):
-            return numbers
-    except (TypeError, OverflowError):  # not a sequence, or an integer too large for a float
-        pass
-    raise InvalidSceneError(f"{what}: expected {count} finite numbers, found {quoted(values)}")
-
-
 def _pose(what: str, values: Sequence[Any]) -> Pose:
     return Pose(*_floats(f"{what} (x, y, angle)", values, 3))
+
+
+def _floats(
+    what: str, values: Sequence[Any], count: int, limit: float = c.MAX_COORDINATE
+) -> list[float]:
+    """`count` numbers, including NumPy's, as floats; raises `InvalidSceneError`."""
+    with suppress(TypeError, OverflowError):  # no sequence, or an integer too large for a float
+        numbers = [float(value) for value in values if isinstance(value, _NUMBERS)]
+        valid = all(abs(number) <= limit for number in numbers)  # false for NaN
+        if valid and len(values) == len(numbers) == count:
+            return numbers
+    raise InvalidSceneError(
+        f"{what}: expected {count} finite numbers up to {limit:g}, found {quoted(values)}"
+    )
+
+
+def _set_floats(record: Any, what: str, limit: float = c.MAX_COORDINATE) -> list[float]:
+    """Make floats of a record's fields but its colour; raises `InvalidSceneError`."""
+    names = [field.name for field in fields(record) if field.name != "colour"]
+    values = _floats(what, [getattr(record, name) for name in names], len(names), limit)
+    for name, value in zip(names, values, strict=True):
+        object.__setattr__(record, name, value)
+    return values
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +99,7 @@ class Block:
 
     Raises:
         UnknownNameError: no such shape or colour.
-        InvalidSceneError: the pose is not three finite numbers.
+        InvalidSceneError: the pose is not three numbers up to `MAX_COORDINATE`.
     """
 
     shape: Shape
@@ -65,7 +120,7 @@ class Region:
 
     Raises:
         UnknownNameError: no such colour.
-        InvalidSceneError: coordinates that are not finite, or a size that is not positive.
+        InvalidSceneError: numbers beyond `MAX_COORDINATE`, or a size that is not positive.
     """
 
     colour: Colour
@@ -76,9 +131,7 @@ class Region:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "colour", parse_word(Colour, self.colour))
-        values = _floats(f"{self.colour} region", (self.x, self.y, self.height, self.width), 4)
-        for name, value in zip(("x", "y", "height", "width"), values, strict=True):
-            object.__setattr__(self, name, value)
+        _set_floats(self, f"{self.colour} region")
         if self.height <= 0 or self.width <= 0:
             raise InvalidSceneError(
                 f"{self.colour} region: expected positive height and width, "
@@ -111,12 +164,9 @@ class Dynamics:
     block_gear_max_force: float = 0.1
 
     def __post_init__(self) -> None:
-        names = [field.name for field in fields(self)]
-        values = _floats("dynamics", [getattr(self, name) for name in names], len(names))
-        for name, value in zip(names, values, strict=True):
-            object.__setattr__(self, name, value)
-        if min(values) <= 0:
-            raise InvalidSceneError(f"dynamics: expected positive forces, found {values}")
+        forces = _set_floats(self, "dynamics", sys.float_info.max)
+        if min(forces) <= 0:
+            raise InvalidSceneError(f"dynamics: expected positive forces, found {forces}")
 
     @staticmethod
     def sample(rng: np.random.Generator) -> "Dynamics":
@@ -124,16 +174,14 @@ class Dynamics:
         return Dynamics(*(float(rng.uniform(low, high)) for low, high in DYNAMICS_RANGES))
 
     @staticmethod
-    def from_dict(data: Mapping[str, Any] | Sequence[float]) -> "Dynamics":
-        """The inverse of `to_dict`; also takes only some fields, or all five numbers in order.
+    def from_dict(data: Mapping[str, Any]) -> "Dynamics":
+        """The inverse of `to_dict`; takes only some fields too.
 
         Raises:
             InvalidSceneError: anything else, or forces that are not positive.
         """
         names = [field.name for field in fields(Dynamics)]
-        if not isinstance(data, Mapping):
-            data = dict(zip(names, _floats("dynamics", data, len(names)), strict=True))
-        if not set(data) <= set(names):
+        if not isinstance(data, Mapping) or not set(data) <= set(names):
             raise InvalidSceneError(f"dynamics: expected some of {names}, found {quoted(data)}")
         return Dynamics(**data)
 
@@ -154,8 +202,8 @@ class Scene:
     robot comes before (under) the blocks, as in MoveToCorner (docs/specification.md, section 6).
 
     Raises:
-        InvalidSceneError: the robot's pose is not three finite numbers, there are more than
-            `MAX_BLOCKS` blocks or `MAX_REGIONS` regions, or a number is beyond `MAX_COORDINATE`.
+        InvalidSceneError: the robot's pose is not three numbers up to `MAX_COORDINATE`, or there
+            are more than `MAX_BLOCKS` blocks or `MAX_REGIONS` regions.
     """
 
     robot: Pose
@@ -167,17 +215,10 @@ class Scene:
         object.__setattr__(self, "robot", _pose("robot", self.robot))
         object.__setattr__(self, "blocks", tuple(self.blocks))
         object.__setattr__(self, "regions", tuple(self.regions))
-        if len(self.blocks) > MAX_BLOCKS or len(self.regions) > MAX_REGIONS:
+        if len(self.blocks) > c.MAX_BLOCKS or len(self.regions) > c.MAX_REGIONS:
             raise InvalidSceneError(
-                f"scene: expected at most {MAX_BLOCKS} blocks and {MAX_REGIONS} regions, "
+                f"scene: expected at most {c.MAX_BLOCKS} blocks and {c.MAX_REGIONS} regions, "
                 f"found {len(self.blocks)} and {len(self.regions)}"
-            )
-        poses = [self.robot, *(block.pose for block in self.blocks)]
-        areas = [(r.x, r.y, r.height, r.width) for r in self.regions]
-        furthest = max(abs(number) for numbers in (*poses, *areas) for number in numbers)
-        if furthest > MAX_COORDINATE:
-            raise InvalidSceneError(
-                f"scene: expected numbers up to {MAX_COORDINATE:g}, found {furthest:g}"
             )
 
     def to_dict(self) -> dict[str, Any]:
@@ -206,7 +247,10 @@ class Scene:
             scene = Scene(
                 robot=given.pop("robot"),
                 blocks=tuple(Block(b[0], b[1], b[2:]) for b in given.pop("blocks", ())),
-                regions=tuple(map(_region, given.pop("regions", ()))),
+                regions=tuple(
+                    Region(**r) if isinstance(r, Mapping) else Region.from_centre(*r)
+                    for r in given.pop("regions", ())
+                ),
                 robot_first=given.pop("robot_first", False),
             )
             if given or not isinstance(scene.robot_first, bool):
@@ -220,5 +264,19 @@ class Scene:
             ) from error
 
 
-def _region(data: Mapping[str, Any] | Sequence[Any]) -> Region:
-    return Region(**data) if isinstance(data, Mapping) else Region.from_centre(*data)
+def default_samples(size: int) -> int:
+    """Samples across a pixel: the fewest that make at least 384 across a frame, at most 4."""
+    return next((n for n in c.SAMPLES if n * size >= c.RAW_FRAME_SIZE), max(c.SAMPLES))
+
+
+def chosen_samples(size: int, samples: int | None) -> int:
+    """The samples across a pixel, `default_samples` for None; raises `RenderError`."""
+    numbers = isinstance(size, int) and samples in (None, *c.SAMPLES)
+    if numbers and bool not in (type(size), type(samples)) and 0 < size <= c.MAX_FRAME_SIZE:
+        chosen = default_samples(size) if samples is None else int(samples)  # no kernel takes float
+        if size * chosen <= c.MAX_SAMPLES_ACROSS:
+            return chosen
+    raise RenderError(
+        f"expected a size from 1 to {c.MAX_FRAME_SIZE} and samples among {c.SAMPLES}, together at "
+        f"most {c.MAX_SAMPLES_ACROSS} across a frame, found {quoted(size)} and {quoted(samples)}"
+    )

@@ -20,9 +20,36 @@ from magical.messages import quoted
 from magical.scene import Block, Colour, Region, Scene, Shape
 from magical.scene.constants import WORKSPACE_HALF
 from magical.scene.geometry import Point, lengths
-from magical.scene.vocabulary import Corner, Landmark, Wall, parse_word
+from magical.scene.scene import parse_word
 from magical.tasks.move_to_corner import FULL_SCORE, NO_SCORE
 from magical.tasks.scoring import NEIGHBOUR_DISTANCE
+
+
+class Corner(StrEnum):
+    """A corner of the workspace."""
+
+    TOP_LEFT = "top left"
+    TOP_RIGHT = "top right"
+    BOTTOM_LEFT = "bottom left"
+    BOTTOM_RIGHT = "bottom right"
+
+
+class Wall(StrEnum):
+    """A wall of the workspace."""
+
+    LEFT = "left"
+    RIGHT = "right"
+    TOP = "top"
+    BOTTOM = "bottom"
+
+
+class Landmark(StrEnum):
+    """What a block can be near to or far from."""
+
+    REGION = "region"  # the nearest one
+    ROBOT = "robot"  # where it starts
+    CENTRE = "centre"  # of the workspace
+
 
 Blocks = frozenset[int]  # indices of a scene's blocks
 Floats = NDArray[np.float64]

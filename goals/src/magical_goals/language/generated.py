@@ -18,7 +18,6 @@ from magical.errors import InvalidProgramError, PlacementError
 from magical.physics.overlap import Solids
 from magical.scene import COLOURS, SHAPES, Block, Pose, Region, Scene
 from magical.scene.constants import STAR_OUTER_RADIUS, WORKSPACE_HALF
-from magical.scene.vocabulary import Corner, Landmark, Wall
 from magical.tasks import Task, TaskFamily
 from magical.tasks.axes import (
     EVERYTHING,
@@ -31,7 +30,7 @@ from magical.tasks.axes import (
 from magical.tasks.placement import Placement, sample_placement
 from magical_goals.language import expressions as e
 from magical_goals.language import goals as g
-from magical_goals.language.expressions import Attribute, Selection
+from magical_goals.language.expressions import Attribute, Corner, Landmark, Selection, Wall
 from magical_goals.language.goals import Goal, problem
 
 Rng = np.random.Generator

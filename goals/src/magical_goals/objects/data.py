@@ -132,11 +132,11 @@ def parse_demonstrations(
 
 def parse_trajectory(trajectory: Trajectory, perception: Perception) -> ParsedFrames:
     """The objects in all frames, with blocks numbered as in the first."""
-    (component,) = PRESETS[OBSERVATION].components
+    ((single, _),) = PRESETS[OBSERVATION].components
     source, steps = TrajectorySource(trajectory), np.arange(len(trajectory) + 1)
     parts = []
     for start in range(0, len(steps), CHUNK):
-        frames = component.read(source, steps[start : start + CHUNK])  # (B, 3, 96, 96)
+        frames = single.read(source, steps[start : start + CHUNK])  # (B, 3, 96, 96)
         parts.append(perception(frames.transpose(0, 2, 3, 1)))
     return track(ParsedFrames.joined(parts))
 

@@ -1,42 +1,20 @@
-"""Chipmunk's C functions and structs below pymunk, by their addresses, for compiled code.
+"""A world of Chipmunk's, made by its C functions instead of pymunk's objects.
 
-Their names, signatures and layout are private to pymunk and may change between releases, so
-importing this module checks them once. pymunk's public functions step at the same motions, but take
-a third longer, and hold the interpreter's lock between substeps.
+An episode has some sixty bodies, shapes and joints. pymunk makes a Python object of each, with
+references to others and a function that frees it, which took most of the time of a reset.
 """
 
 import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import numpy as np
-import pymunk
 from pymunk._chipmunk_cffi import ffi, lib
 
-from magical.errors import DependencyVersionError
-
-# The C functions that compiled code calls.
-SIGNATURES = {
-    "cpSpaceStep": "void(*)(struct cpSpace *, double)",
-    "cpBodySetAngle": "void(*)(struct cpBody *, double)",
-    "cpSimpleMotorSetRate": "void(*)(struct cpConstraint *, double)",
-    "cpConstraintSetMaxBias": "void(*)(struct cpConstraint *, double)",
-}
-# A body of mass 2 and moment 4 in memory, after two pointers: mass, moment and their inverses,
-# centre of gravity, position (5, 6), velocity (7, 8), force, angle 9, angular velocity 10.
-LAYOUT = [2.0, 0.5, 4.0, 0.25, 0.0, 0.0, 5.0, 6.0, 7.0, 8.0, 0.0, 0.0, 9.0, 10.0]
-POINTERS = 2  # of 8 bytes, like the numbers
-POSITION, VELOCITY, ANGLE, SPIN = (POINTERS + LAYOUT.index(n) for n in (5.0, 7.0, 9.0, 10.0))
 NO_TRANSFORM = (1.0, 0.0, 0.0, 1.0, 0.0, 0.0)
 ALL = 0xFFFFFFFF  # collision categories
 Part = Any  # of a world: a pointer to Chipmunk's struct
 Polygon = Sequence[tuple[float, float]]
 Outline = tuple[Polygon | None, float]  # a polygon, or None for a circle; its radius
-
-
-def address(part: Part) -> int:
-    """The address of a space, a body or a constraint."""
-    return int(ffi.cast("intptr_t", part))
 
 
 def move(body: Part, values: Sequence[float]) -> None:
@@ -54,14 +32,7 @@ def to_world(body: Part, point: tuple[float, float]) -> tuple[float, float]:
 
 
 class World:
-    """A Chipmunk space with what is added to it.
-
-    An episode has some sixty parts. pymunk makes a Python object of each, with references to others
-    and a function that frees it, which took most of the time of a reset.
-
-    Attributes:
-        space, static: the space and its static body.
-    """
+    """A space with what is added to it, and its `static` body; parts are C pointers."""
 
     def __init__(self, iterations: int, collision_slop: float) -> None:
         self._parts: list[tuple[Any, Part]] = []  # with the functions that free them
@@ -114,14 +85,7 @@ class World:
         max_bias: float = math.inf,
         error_bias: float | None = None,
     ) -> Part:
-        """Add a constraint, by the name of Chipmunk's function that makes it.
-
-        Args:
-            kind: such as "PinJointNew".
-            bodies: the two that it connects.
-            arguments: further arguments of the function.
-            max_force, max_bias, error_bias: as pymunk's attributes of these names.
-        """
+        """Add a joint of two bodies, by the name of the C function, less `cp`, that makes it."""
         joint = getattr(lib, f"cp{kind}")(*bodies, *arguments)
         self._parts.append((lib.cpConstraintFree, joint))
         lib.cpConstraintSetMaxForce(joint, max_force)
@@ -139,28 +103,3 @@ def _free(parts: list[tuple[Any, Part]]) -> Callable[[Part], None]:
             free_part(part)
 
     return free
-
-
-def c_functions() -> dict[str, int]:
-    """The addresses of the functions in `SIGNATURES`.
-
-    Raises:
-        DependencyVersionError: pymunk lacks one of them, one has other arguments, or a body has
-            another layout in memory.
-    """
-    body = pymunk.Body(2.0, 4.0)
-    body.position, body.velocity = (5.0, 6.0), (7.0, 8.0)
-    body.angle, body.angular_velocity = 9.0, 10.0
-    size = 8 * (POINTERS + len(LAYOUT))
-    memory = np.frombuffer(ffi.buffer(ffi.cast("char *", body._body), size))
-    functions = {name: ffi.addressof(lib, name) for name in SIGNATURES if hasattr(lib, name)}
-    found = {name: ffi.typeof(function).cname for name, function in functions.items()}
-    if found == SIGNATURES and memory[POINTERS:].tolist() == LAYOUT:
-        return {name: int(ffi.cast("intptr_t", f)) for name, f in functions.items()}
-    raise DependencyVersionError(
-        f"expected the C functions and bodies of pymunk 7.3, found others in pymunk "
-        f"{pymunk.version}; pip install 'pymunk>=7.3,<7.4'"
-    )
-
-
-C_FUNCTIONS = c_functions()
