@@ -48,10 +48,10 @@ def presets() -> str:
 def describe(preset: PixelSpec) -> str:
     """A preset in words."""
     if preset.separate:
-        entries = (f"`{view}` {preset.shape(frames)}" for view, frames in preset.parts)
+        entries = (f"`{view}` {space.shape}" for view, space in preset.space.items())
         return f"dict of {', '.join(entries)}"
     views = " and ".join(f"{frames} `{view}`" for view, frames in preset.parts)
-    return f"{views} frames, {preset.shape(sum(frames for _, frames in preset.parts))}"
+    return f"{views} frames, {preset.space.shape}"
 
 
 class Row(NamedTuple):

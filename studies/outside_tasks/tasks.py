@@ -343,6 +343,11 @@ def short_of(place: Point, position: Point) -> Point:
     return x, y
 
 
-for _name, _rule in {**DEVELOPMENT, **HELD_BACK}.items():
-    magical.register_task(make_task(_name, _rule))
-    register_planner(_name, make_planner(_rule))
+def register() -> None:
+    """Register all tasks with their experts, as importing this file does."""
+    for name, rule in {**DEVELOPMENT, **HELD_BACK}.items():
+        magical.register_task(make_task(name, rule))
+        register_planner(name, make_planner(rule))
+
+
+register()

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 import magical
-from magical import cli
 from magical.envs.env import MagicalEnv
 from magical.envs.seeds import (
     FIRST_EVALUATION_SEED,
@@ -54,11 +53,6 @@ def test_published_ids_make_the_environments_when_asked_for(
     assert old.observation_spec == new.observation_spec
     envs = gymnasium.make_vec("MakeLine-Demo-v0", 2, workers=0, observation="state")
     assert isinstance(envs, MagicalVectorEnv)
-
-
-def test_the_published_option_names_the_command(capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["--env-name", "MoveToCorner-Demo-v0"]) == 2
-    assert "use `magical play --env ID`" in capsys.readouterr().err
 
 
 # SHA-256 of the start of each variant's first rollout, in millionths of units and radians.

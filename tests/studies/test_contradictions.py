@@ -5,23 +5,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from magical.evaluation.seeds import RolloutRng
 
 from baselines.tests import tiny_runs
 from magical.demos.generate import demonstrate, generate
-from magical.tasks import unregister_task
+from magical.evaluation.rollouts import RolloutRng
 from magical_baselines import load_policy, train
 from magical_goals.objects.data import parse_demonstrations
 from magical_goals.objects.parser import parse_frames
 from magical_goals.program_bc import ProgramBCConfig, infer_beliefs
-from studies.outside_tasks.tasks import DEVELOPMENT, HELD_BACK
 
-
-@pytest.fixture(scope="module", autouse=True)
-def registered():
-    yield
-    for name in (*DEVELOPMENT, *HELD_BACK):
-        unregister_task(name)
+pytestmark = pytest.mark.usefixtures("outside_tasks")
 
 
 @pytest.mark.parametrize(

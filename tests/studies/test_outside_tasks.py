@@ -3,18 +3,19 @@
 import pytest
 
 from magical.evaluation import evaluate, load_policy
-from magical.tasks import get_task, unregister_task
-from studies.outside_tasks.tasks import DEVELOPMENT, HELD_BACK
+from magical.tasks import get_task
+
+DEVELOPMENT = ("Centre", "Between", "StarsRegion", "LeaveOthers", "StopShort", "ThenCircle")
+HELD_BACK = ("Swap", "LeftOf", "SmallerRegion", "Mirror", "Apart", "HalfWay")
 
 
-@pytest.fixture(scope="module", autouse=True)
-def registered():
-    yield
-    for name in (*DEVELOPMENT, *HELD_BACK):
-        unregister_task(name)
+def test_six_are_to_develop_on_and_six_are_held_back(outside_tasks):
+    assert tuple(outside_tasks.DEVELOPMENT) == DEVELOPMENT
+    assert tuple(outside_tasks.HELD_BACK) == HELD_BACK
 
 
 @pytest.mark.parametrize("name", [*DEVELOPMENT, *HELD_BACK])
+@pytest.mark.usefixtures("outside_tasks")
 def test_the_expert_reaches_the_goal_and_idleness_does_not(name):
     assert "TestAll" in get_task(name).variants
     envs = [f"magical/{name}-{variant}-v0" for variant in ("Demo", "TestAll")]

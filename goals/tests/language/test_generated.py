@@ -68,7 +68,7 @@ def test_environments_of_the_suite_are_made_by_their_ids():
     observation, _ = env.reset(seed=0)
     assert observation in env.observation_space
     assert HELD_OUT[0] not in list(TASKS)  # there are too many to iterate over
-    with pytest.raises(UnknownNameError, match="version v3 is unknown; expected v0"):
+    with pytest.raises(UnknownNameError, match=r"Demo-v3.: expected magical/"):
         magical.parse_env_id(f"magical/{task_name(0)}-Demo-v3")
     for number in ("42", "\u0660\u0660\u0664\u0662"):  # digits of another script
         with pytest.raises(UnknownNameError, match=f"'Generated{number}' is not registered"):

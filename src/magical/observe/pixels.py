@@ -100,10 +100,10 @@ class PixelSpec(ObservationSpec):
         )
 
     def network_input(self, observations: Any) -> NDArray[Any]:
-        shape, images = self.network_shape, np.asarray(observations)
-        if not self.channels_first and images.ndim == 4:
-            images = images.transpose(0, 3, 1, 2)
-        return checked(images, shape, np.uint8)
+        channels, height, width = self.network_shape
+        if self.channels_first:
+            return checked(observations, (channels, height, width), np.uint8)
+        return checked(observations, (height, width, channels), np.uint8).transpose(0, 3, 1, 2)
 
     def stacks(self, observation: Any) -> list[Pixels]:
         """An array view (..., size, size, 3 * frames) of each camera's frames, for any batch."""

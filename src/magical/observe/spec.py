@@ -119,12 +119,13 @@ def copy_arrays(observation: Any) -> Any:
 
 
 def checked(inputs: NDArray[Any], shape: tuple[int, ...], dtype: Any) -> NDArray[Any]:
-    """A network's input (B, *shape); raises `ObservationError` if it is another."""
+    """Observations (B, *shape); raises `ObservationError` if they are others."""
+    inputs = np.asarray(inputs)
     if inputs.dtype != dtype or inputs.shape[1:] != shape:
         raise ObservationError(
-            f"observations: expected {np.dtype(dtype)} of shape (B, {', '.join(map(str, shape))}) "
-            f"for the network, found {inputs.dtype} of shape {inputs.shape}; make the environments "
-            "with the observation that the policy was trained on"
+            f"observations: expected {np.dtype(dtype)} of shape (B, {', '.join(map(str, shape))})"
+            f", found {inputs.dtype} of shape {inputs.shape}; make the environments with the "
+            "observation that the policy was trained on"
         )
     return inputs
 
