@@ -21,6 +21,7 @@ PLANS = (
     "bc-ablations-human",
     "adversarial-human",
     "gail-published-code",
+    "gail-discriminator",
     "adversarial-published-code",
     "bc-scripted",
     "bc-perturbed",

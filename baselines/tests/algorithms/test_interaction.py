@@ -19,7 +19,12 @@ from magical.observe import PRESETS
 from magical.runs import read_metrics
 from magical_baselines import load_policy, train
 from magical_baselines.algorithms.al import ALConfig, feature_weights, make_autoencoder
-from magical_baselines.algorithms.gail import DiscriminatorBatch, gail_loss
+from magical_baselines.algorithms.gail import (
+    DiscriminatorBatch,
+    GAILConfig,
+    gail_loss,
+    make_discriminator,
+)
 from magical_baselines.algorithms.iq_learn import IQLearnConfig, iq_loss, soft_value
 from magical_baselines.algorithms.ppo import PPOConfig, PPOTrainer, Samples, compute_gae, ppo_loss
 from magical_baselines.algorithms.wgail_gp import critic_loss, gradient_penalty, interpolate
@@ -484,3 +489,13 @@ def test_it_learns_what_is_demonstrated(demos, tmp_path):
     found = [row["demo_log_prob"] for row in read_metrics(tmp_path / "run")]
     assert found[0] < -2.0  # 18 actions: at random -2.9
     assert found[-1] > -0.5
+
+
+def test_the_discriminator_may_have_a_network_of_its_own():
+    fields = {"network": "narrow", "demos": "unused"}
+    for own, hidden, joined in (("", 256, 32), ("paper", 256, 256 + 32)):
+        config = tiny(GAILConfig, "published-code", discriminator_network=own, **fields)
+        linear = make_discriminator(config).trunk.linear
+        last = linear[-2]  # to whose input the action is joined
+        assert (last.out_features, last.in_features >= joined) == (hidden, True)
+        assert (last.in_features == joined) is bool(own)

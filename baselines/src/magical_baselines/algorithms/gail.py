@@ -41,6 +41,7 @@ from magical_baselines.config import (
 )
 from magical_baselines.data import ExpertData, RecentRollouts, load_demonstrations, split_evenly
 from magical_baselines.models import Discriminator, Trunk, init_normal
+from magical_baselines.networks import GROUP as NETWORKS
 from magical_baselines.rollouts import RewardNormaliser, Rollout
 from magical_baselines.training import Averages, Purpose, Run, gradient_step, seeded_init, stream
 
@@ -57,6 +58,12 @@ class AdversarialConfig(DemonstrationConfig, ReinforcementConfig):
     )
     discriminator_learning_rate: PositiveFloat = option(
         2.5e-5, "Adam's learning rate for the discriminator"
+    )
+    discriminator_network: str = option(
+        "",
+        "the discriminator's architecture, if not `network`",
+        plugins=NETWORKS,
+        known=("",),
     )
     augment: str = augment_option("all", "the discriminator's images")
     reward_std: PositiveFloat = option(0.1, "standard deviation of the normalised rewards")
@@ -198,7 +205,7 @@ def make_discriminator(config: AdversarialConfig) -> Discriminator:
     """
     with seeded_init(config.seed, DISCRIMINATOR_INIT):
         trunk = Trunk(
-            config.network,
+            config.discriminator_network or config.network,
             config.input_shape,
             batch_norm=True,
             action_input=config.action_input,
