@@ -24,7 +24,7 @@ from typing import Any
 
 from magical import __file__ as PACKAGE
 from magical import __version__, files
-from magical.errors import ResultsError, RunFolderError, UnknownNameError
+from magical.errors import RunFolderError, UnknownNameError
 from magical.files import parse_json, read_bounded, reading
 from magical.files import write_json as write_json
 from magical.messages import printable, quoted
@@ -132,11 +132,11 @@ class Listing:
 def read_listing(path: Path) -> Listing:
     """What the `plan.json` of a results folder lists; nothing if there is no such file.
 
-    Raises `ResultsError` if the file is damaged, or lists something else.
+    Raises `RunFolderError` if the file is damaged, or lists something else.
     """
     if not (path / PLAN).exists():
         return Listing()
-    return files.read_json(path / PLAN, Listing, ResultsError, max_bytes=MAX_PLAN)
+    return files.read_json(path / PLAN, Listing, RunFolderError, max_bytes=MAX_PLAN)
 
 
 VERSIONED = ("torch", "numpy", "pymunk", "numba", "safetensors")  # what results may depend on

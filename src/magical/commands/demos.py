@@ -18,7 +18,7 @@ from magical.demos import Dataset, DatasetWriter, export, generate, human
 from magical.demos.dataset import summarise
 from magical.demos.trajectory import replay
 from magical.envs import parse_env_id
-from magical.errors import DatasetError, DownloadError
+from magical.errors import DatasetError
 from magical.grouping import group_by
 from magical.processes import checked_workers
 from magical.progress import ProgressBar
@@ -113,7 +113,7 @@ def _download(args: Args) -> Result:
     sums = human.published_sums().items()
     wanted = {file: digest for file, digest in sums if fnmatch.fnmatch(file, args.files)}
     if not wanted:
-        raise DownloadError(f"--files {args.files}: expected a pattern that published files match")
+        raise DatasetError(f"--files {args.files}: expected a pattern that published files match")
     DatasetWriter(args.out)
     have = {entry.name for entry in Dataset.open(args.out).entries}
     lacking = {file: digest for file, digest in wanted.items() if Path(file).name not in have}
