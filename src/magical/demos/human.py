@@ -31,7 +31,7 @@ from magical.errors import DatasetError, MagicalError
 from magical.extras import require
 from magical.files import sha256_sum
 from magical.messages import printable, quoted
-from magical.processes import map_in_order
+from magical.processes import map_in_processes
 from magical.scene import View
 from magical.scene.constants import FRAME_SIZE, RAW_FRAME_SIZE
 
@@ -111,8 +111,8 @@ def import_published(
     report = ImportReport(already=[file.name for file in files if file not in wanted])
     first = {entry.fingerprint: Path(entry.name) for entry in entries}
     progress(len(report.already))
-    with closing(map_in_order(_outcome, wanted, min(workers, len(wanted) or 1))) as outcomes:
-        for file, outcome in outcomes:
+    with closing(map_in_processes(_outcome, wanted, min(workers, len(wanted)))) as outcomes:
+        for file, outcome in zip(wanted, outcomes, strict=True):
             progress(1)
             if not isinstance(outcome, Trajectory):
                 report.failed.append((str(file), outcome or ""))
