@@ -31,7 +31,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from magical.errors import MagicalError, ResultsError
+from magical.errors import MagicalError, RunFolderError
 from magical.evaluation import Entry, read_entry
 from magical.evaluation.entry import ENTRY_FILE, read_collection, write_collection
 from magical.evaluation.protocol import NUDGE, Evaluation, environments
@@ -159,14 +159,14 @@ def collect(
         stated: `test_evaluations` and `dataset`, passed to `_entry`.
 
     Raises:
-        ResultsError: a source is not a results folder.
+        RunFolderError: a source is not a results folder.
     """
     planned = {run.folder: run for run in planned_runs(read_plan(plan))}
     collected = Collected.read(out)
     collected.adopt(planned)
     for source in sources:
         if not (source / PLAN).is_file():
-            raise ResultsError(f"{source}: expected a results folder, found no {PLAN}")
+            raise RunFolderError(f"{source}: expected a results folder, found no {PLAN}")
         for folder in sorted(path for path in (source / RUNS).glob("[!.]*") if path.is_dir()):
             if folder.name not in planned:
                 yield f"left out: {folder}: not a run of {plan}"
@@ -250,7 +250,9 @@ def _entry(
     """A run's entry, with `test_evaluations` if stated and the dataset's name."""
     entry = read_entry(folder)
     if version not in ("", entry.version):
-        raise ResultsError(f"{folder}: expected an entry made by {version}, found {entry.version}")
+        raise RunFolderError(
+            f"{folder}: expected an entry made by {version}, found {entry.version}"
+        )
     record = entry.record
     demonstrations = record.demonstrations.replace(DATASET, dataset)
     number = record.test_evaluations if test_evaluations is None else test_evaluations

@@ -17,7 +17,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from magical.errors import MagicalError, ResultsError
+from magical.errors import MagicalError, RunFolderError
 from magical.runs import PLAN, RESULT, RUNS, read_json, write_json
 from magical_baselines.experiments.plan import folder_name
 from magical_baselines.experiments.status import DONE
@@ -33,13 +33,13 @@ def restore(source: Path, out: Path, again: int | None = None) -> int:
         again: the training seed whose runs are left out.
 
     Raises:
-        ResultsError: nothing was collected in `source`, or `out` exists.
+        RunFolderError: nothing was collected in `source`, or `out` exists.
     """
     collected = Collected.read(source)
     if not collected.runs:
-        raise ResultsError(f"{source}: expected collected runs, found none")
+        raise RunFolderError(f"{source}: expected collected runs, found none")
     if out.exists():
-        raise ResultsError(f"{out}: expected a new folder; give another --out")
+        raise RunFolderError(f"{out}: expected a new folder; give another --out")
     for name in [name for name, facts in collected.runs.items() if facts["seed"] == again]:
         del collected.runs[name]
     runs = read_json(source / PLAN)["runs"]

@@ -1,6 +1,5 @@
 """The command line: discovery, exit statuses, output."""
 
-import ast
 import io
 import json
 import os
@@ -133,25 +132,12 @@ def test_a_missing_library_is_answered_with_the_extra_that_brings_it(
             fail_with(bug)
 
 
-def test_every_library_that_is_imported_is_declared(root: Path) -> None:
+def test_the_libraries_of_every_extra_are_declared(root: Path) -> None:
     project = tomllib.loads((root / "pyproject.toml").read_text())["project"]
     for extra, libraries in EXTRAS.items():
         needs = " ".join(project["optional-dependencies"][extra])
         for library in set(libraries) - {"h5py"}:  # of minari[hdf5]
             assert library.replace("_", "-") in needs
-    names = {re.split(r"[<>=]", need)[0] for need in project["dependencies"]}
-    names = names - {"pillow"} | {"PIL"}
-    known = names.union(sys.stdlib_module_names, *EXTRAS.values(), ["magical"])
-    for path in (root / "src").rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text())):
-            match node:
-                case ast.Import():
-                    modules = [alias.name for alias in node.names]
-                case ast.ImportFrom(module=str(module)):
-                    modules = [module]
-                case _:
-                    continue
-            assert {module.partition(".")[0] for module in modules} <= known, path
 
 
 def test_tables_are_aligned(capsys: pytest.CaptureFixture[str]) -> None:
@@ -175,13 +161,6 @@ def test_a_reader_that_leaves_is_no_traceback() -> None:
 def test_there_may_be_no_standard_output(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stdout", None)  # as after `>&-`, and in a service
     assert cli.main(["envs"]) == 0
-
-
-def test_a_module_is_imported_before_any_command(root: Path) -> None:
-    words = ("--import", str(root / "examples/ninth_task.py"), "envs")
-    command = [sys.executable, "-m", "magical", *words]
-    listed = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-    assert "Separate" in listed
 
 
 def test_a_module_that_cannot_be_imported_is_named(

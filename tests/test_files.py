@@ -1,11 +1,9 @@
-"""Files of others become records or one error; files are written whole or not at all; locks."""
+"""Files of others become records or one error; files are written whole or not at all."""
 
 import errno
 import json
 import os
 import re
-import secrets
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
@@ -166,29 +164,3 @@ def test_a_failure_leaves_the_old_file_and_nothing_else(
         file.write(b"new")
     assert path.read_bytes() == b"old"
     assert list(tmp_path.iterdir()) == [path]
-
-
-def test_two_threads_may_write_one_file(tmp_path: Path) -> None:
-    path = tmp_path / "x.bin"
-
-    def write(number: int) -> None:
-        with write_atomically(path) as file:
-            file.write(bytes([number]) * 1000)
-            file.flush()
-            file.write(bytes([number]) * 1000)
-
-    with ThreadPoolExecutor(8) as threads:
-        list(threads.map(write, range(40)))
-    assert path.read_bytes() in [bytes([number]) * 2000 for number in range(40)]
-    assert list(tmp_path.iterdir()) == [path]
-
-
-def test_a_link_planted_under_the_temporary_name_is_not_followed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(secrets, "token_hex", lambda size: "ab" * size)
-    (tmp_path / "mine").write_text("mine")
-    (tmp_path / ".x.bin.abababab.part").symlink_to("mine")
-    with pytest.raises(FileExistsError), write_atomically(tmp_path / "x.bin"):
-        pass
-    assert (tmp_path / "mine").read_text() == "mine"

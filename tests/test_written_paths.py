@@ -10,19 +10,6 @@ from magical.demos.generate import generate
 from tests.demos.conftest import published, write
 
 ENV = "magical/MoveToRegion-Demo-v0"
-PLAN = """
-tasks = ["MoveToRegion"]
-seeds = [0]
-num_demos = 1
-preset = "quick"
-rollouts = 1
-variants = ["Demo"]
-
-[[methods]]
-name = "BC"
-algorithm = "bc"
-settings = { batches = 2, batch_size = 2 }
-"""
 EVALUATED = "--task MoveToRegion --variants Demo --rollouts 1"
 COMMANDS = {  # the command, what it needs, what it writes below --out
     "import": ("demos import {in}/published --workers 1", "", "000000.npz"),
@@ -33,18 +20,16 @@ COMMANDS = {  # the command, what it needs, what it writes below --out
     "report": ("report {in}/entry", "jinja2 matplotlib", ".html"),
     "leaderboard": ("leaderboard {in}/entry", "jinja2 matplotlib", "index.html"),
     "show": (f"show {ENV}", "", ".png"),
-    "run": ("run {in}/plan.toml --demos {in}/demos --workers 1", "torch", "plan.json"),
 }
 
 
 @pytest.fixture(scope="module")
 def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A dataset, a published file, an entry and a plan, in a folder with a space in its name."""
+    """A dataset, a published file and an entry, in a folder with a space in its name."""
     folder = tmp_path_factory.mktemp("other") / "the inputs"
     generate(ENV, 1, folder / "demos", workers=1)
     write(folder / "published" / "demo.pkl.gz", published())
     assert main(["evaluate", "noop", *EVALUATED.split(), "--out", str(folder / "entry")]) == 0
-    (folder / "plan.toml").write_text(PLAN)
     return folder
 
 

@@ -123,10 +123,7 @@ def _module(name: str) -> Any:
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser that takes no abbreviated options, and reports an error in one line.
-
-    Its commands' parsers are of this class too.
-    """
+    """A parser, also of each command, without abbreviations; reports an error in one line."""
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(allow_abbrev=False, **settings)
@@ -138,12 +135,12 @@ class _Parser(argparse.ArgumentParser):
 
 def _import_parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="magical", add_help=False)
-    several: dict[str, Any] = {"action": "append", "default": []}
     meaning = (
         "with any command: first import a module or a .py file, such as one that registers a "
         "task; may be repeated"
     )
-    parser.add_argument("--import", dest="imports", metavar="MODULE", help=meaning, **several)
+    names: dict[str, Any] = {"dest": "imports", "metavar": "MODULE", "default": []}
+    parser.add_argument("--import", action="append", help=meaning, **names)
     return parser
 
 

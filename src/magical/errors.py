@@ -18,7 +18,7 @@ class PlacementError(MagicalError, RuntimeError):
 
 
 class ObservationError(MagicalError, ValueError):
-    """An observation whose shape, type or kind differs from what its use requires."""
+    """An observation whose shape, type or kind does not fit its use, or the rest of a batch."""
 
 
 class InvalidActionError(MagicalError, ValueError):
@@ -34,7 +34,7 @@ class InvalidStateError(MagicalError, ValueError):
 
 
 class InvalidTaskError(MagicalError, ValueError):
-    """A task that cannot be registered: a name already taken, or fields that do not fit."""
+    """A task that cannot be registered, or whose score is not a number from 0 to 1."""
 
 
 class InvalidProgramError(MagicalError, ValueError):
@@ -62,35 +62,15 @@ class TrajectoryError(MagicalError, ValueError):
 
 
 class DatasetError(MagicalError, RuntimeError):
-    """A dataset file that is missing or damaged, or that cannot be written."""
-
-
-class UnsafeFileError(MagicalError, ValueError):
-    """A pickle that holds anything other than the plain data of a published demonstration."""
-
-
-class DownloadError(MagicalError, RuntimeError):
-    """A file that could not be fetched, or that differs from the published one."""
-
-
-class MismatchedSpacesError(MagicalError, ValueError):
-    """Environments in one batch whose observation spaces differ."""
+    """A demonstration or dataset that is missing, damaged or unsafe, or cannot be written."""
 
 
 class WorkerDiedError(MagicalError, RuntimeError):
     """A worker process exited or was killed."""
 
 
-class InvalidScoreError(MagicalError, ValueError):
-    """A task's score that is not a number from 0 to 1."""
-
-
 class MissingDependencyError(MagicalError, ImportError):
-    """An optional library that is not installed; the message says which extra brings it."""
-
-
-class DependencyVersionError(MagicalError, ImportError):
-    """A library whose installed version is outside the range that the package was tested with."""
+    """A library that is not installed, or in a version that does not fit; says what to install."""
 
 
 class InvalidConfigError(MagicalError, ValueError):
@@ -101,28 +81,16 @@ class PlanError(MagicalError, ValueError):
     """A plan with unknown names, settings that cannot be combined, or the same run twice."""
 
 
-class ResultsError(MagicalError, RuntimeError):
-    """A results folder that is in use, of another plan or version, damaged, or out of space."""
-
-
 class ClusterError(MagicalError, ConnectionError):
     """A Ray cluster that cannot be reached."""
 
 
-class SiteError(MagicalError, RuntimeError):
-    """A folder that a site cannot be written to because it holds other files."""
-
-
 class RunFolderError(MagicalError, RuntimeError):
-    """A run folder that is in use, missing or damaged, or that cannot be written to."""
+    """A folder of a run or results that is in use, missing, damaged, of other contents, or full."""
 
 
 class CheckpointError(MagicalError, ValueError):
-    """A checkpoint that is missing, damaged or for another network."""
-
-
-class CheckpointMismatchError(CheckpointError):
-    """An intact checkpoint of another network or program."""
+    """A checkpoint that is missing, damaged or for another network or program."""
 
 
 class DemonstrationsError(MagicalError, ValueError):

@@ -17,12 +17,9 @@ EXTRAS = {
 
 
 def require(extra: str) -> None:
-    """Raise `MissingDependencyError` unless all libraries of an extra are installed.
-
-    Call it before work whose result needs them.
-    """
+    """Raise `MissingDependencyError` unless an extra is installed; call it before work."""
     for module in EXTRAS[extra]:
-        if not _is_installed(module):
+        if find_spec(module) is None:
             raise missing(module)
 
 
@@ -39,20 +36,10 @@ def missing(module: str) -> MissingDependencyError:
 
 
 def library(name: str, user: str) -> Any:
-    """Import a library that is in no extra of this package, for `user`.
-
-    Raises `MissingDependencyError` if it is not installed.
-    """
+    """Import a library that is in no extra, for `user`, or raise `MissingDependencyError`."""
     try:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:
         raise MissingDependencyError(
             f"{user}: this needs {error.name}, which is not installed: pip install {name}"
         ) from error
-
-
-def _is_installed(module: str) -> bool:
-    try:
-        return find_spec(module) is not None
-    except ValueError:  # imported, without a `__spec__`: a stand-in
-        return False

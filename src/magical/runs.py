@@ -1,14 +1,6 @@
 """Run folders, their metrics and plans as plain files; what entries state about their making.
 
-A reader of a run needs neither PyTorch nor the code that made it. A run folder holds
-
-- `config.json`: the configuration
-- `run.json`: versions, demonstrations with SHA-256 sums, device and precision
-- `metrics.jsonl`: one JSON object per line
-- `checkpoint.safetensors`: the newest checkpoint
-- `learning-curves.png`: the metrics as a picture
-- `tensorboard/`: the metrics again, on request
-- `.lock`: locked while the run is trained
+A reader of a run needs neither PyTorch nor the code that made it.
 """
 
 import platform
@@ -24,20 +16,29 @@ from typing import Any
 
 from magical import __file__ as PACKAGE
 from magical import __version__, files
-from magical.errors import ResultsError, RunFolderError, UnknownNameError
+from magical.errors import RunFolderError
 from magical.files import parse_json, read_bounded, reading
 from magical.files import write_json as write_json
 from magical.messages import printable, quoted
 from magical.plugins import distributions
 from magical.processes import available_cores
 
+# In the folder of a run:
 CONFIG = "config.json"
-RECORD = "run.json"
-METRICS = "metrics.jsonl"
-CHECKPOINT = "checkpoint.safetensors"
+RECORD = "run.json"  # versions, demonstrations with SHA-256 sums, device and precision
+METRICS = "metrics.jsonl"  # one JSON object per line
+CHECKPOINT = "checkpoint.safetensors"  # the newest
 CURVES = "learning-curves.png"
-TENSORBOARD = "tensorboard"
+TENSORBOARD = "tensorboard"  # a folder with the metrics again, on request
+RESULT = "result.json"  # the final record of a plan's run
+
+# In a results folder:
+PLAN = "plan.json"  # the planned runs
+RUNS = "runs"  # the folder that holds the run folders
+REFERENCES = "references"  # a folder for each reference policy and task
+
 MAX_METRICS = 1 << 28  # bytes of `metrics.jsonl`
+MAX_PLAN = 1 << 26  # bytes of `plan.json`
 
 
 def is_run(path: Path | str) -> bool:
@@ -74,15 +75,6 @@ def read_metrics(run: Path | str) -> list[dict[str, Any]]:
     return rows
 
 
-# Plans: `plan.json` in a results folder lists the planned runs.
-PLAN = "plan.json"
-RUNS = "runs"  # in a results folder: the folder that holds the run folders
-REFERENCES = "references"  # in a results folder: a folder for each reference policy and task
-RESULT = "result.json"  # in a run's folder: its final record
-MAX_PLAN = 1 << 26  # bytes of `plan.json`
-MAX_NAME = 40  # characters of a method's name in a file's name
-
-
 @dataclass(frozen=True, slots=True)
 class ListedRun:
     """A run as `plan.json` lists it; `total` is the number of batches or updates of training."""
@@ -108,38 +100,25 @@ def in_words(tasks: tuple[str, ...]) -> str:
 
 
 def file_name(method: str) -> str:
-    """A method's name in letters and digits, for names of files and folders."""
-    return re.sub(r"[^a-z0-9]+", "-", method.lower()).strip("-")[:MAX_NAME]
+    """A method's name in at most 40 letters and digits, for names of files and folders."""
+    return re.sub(r"[^a-z0-9]+", "-", method.lower()).strip("-")[:40]
 
 
 @dataclass(frozen=True, slots=True)
 class Listing:
-    """What a results folder lists in `plan.json`.
-
-    Attributes:
-        runs: the planned runs.
-        references: the folders of reference policies in `REFERENCES`; `None`: not recorded.
-        collected: used by the studies.
-        command: the words of the command that continues the plan, but for its folder.
-    """
+    """What a results folder lists in `plan.json`."""
 
     runs: tuple[ListedRun, ...] = ()
-    references: tuple[str, ...] | None = None
-    collected: dict[str, Any] = field(default_factory=dict)
-    command: tuple[str, ...] = ()
+    references: tuple[str, ...] | None = None  # folders in `REFERENCES`; `None`: not recorded
+    collected: dict[str, Any] = field(default_factory=dict)  # used by the studies
+    command: tuple[str, ...] = ()  # that continues the plan, but for its folder
 
 
 def read_listing(path: Path) -> Listing:
-    """What the `plan.json` of a results folder lists; nothing if there is no such file.
-
-    Raises `ResultsError` if the file is damaged, or lists something else.
-    """
+    """What a results folder lists, nothing without `PLAN`; raises `RunFolderError` if damaged."""
     if not (path / PLAN).exists():
         return Listing()
-    return files.read_json(path / PLAN, Listing, ResultsError, max_bytes=MAX_PLAN)
-
-
-VERSIONED = ("torch", "numpy", "pymunk", "numba", "safetensors")  # what results may depend on
+    return files.read_json(path / PLAN, Listing, RunFolderError, max_bytes=MAX_PLAN)
 
 
 def provenance() -> dict[str, Any]:
@@ -150,7 +129,7 @@ def provenance() -> dict[str, Any]:
 def versions() -> dict[str, str]:
     """Versions of what results may depend on: Python, this package, libraries, plug-ins."""
     found = {"magical": __version__, "python": platform.python_version()}
-    for name in VERSIONED:
+    for name in ("torch", "numpy", "pymunk", "numba", "safetensors"):
         with suppress(metadata.PackageNotFoundError):  # an extra that is not installed
             found[name] = metadata.version(name)
     return {**found, **distributions()}
@@ -175,19 +154,14 @@ def source_commit() -> str | None:
 
     `None` unless the package is imported from a clone and git is installed.
     """
-    initial = Path(PACKAGE)
-    if _git(initial.parent, "ls-files", "--error-unmatch", initial.name) is None:
-        return None
-    return _git(initial.parent, "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*")
-
-
-def _git(folder: Path, *arguments: str) -> str | None:
-    """The output of a git command in a folder; `None` if it fails."""
-    command = ["git", "-C", str(folder), *arguments]
-    try:
-        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
-    except (OSError, subprocess.CalledProcessError):  # git is not installed, or no clone
-        return None
+    found, tracked = "", ["ls-files", "--error-unmatch", Path(PACKAGE).name]
+    for words in (tracked, ["describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]):
+        command = ["git", "-C", str(Path(PACKAGE).parent), *words]
+        try:
+            found = subprocess.check_output(command, stderr=subprocess.DEVNULL, text=True)
+        except (OSError, subprocess.CalledProcessError):  # git is not installed, or no clone
+            return None
+    return found.strip()
 
 
 # What a policy may have learned from: the terms of `learned_from` in entries.
@@ -231,16 +205,6 @@ TRACKS: Mapping[str, str] = {
 # What learners that use the object parser declare. Its constants were fitted on scenes of TestAll,
 # and a part fitted on scenes of test variants is a prior made for the benchmark (docs/protocol.md).
 PARSER_SOURCES = (OBJECT_PARSER, BENCHMARK_PRIOR)
-
-
-def parse_source(name: str) -> str:
-    """The name of a source, unchanged; raises `UnknownNameError` if it is not in `SOURCES`."""
-    if name not in SOURCES:
-        known = ", ".join(SOURCES)
-        raise UnknownNameError(
-            f"{quoted(name)} is not a source of learning; expected some of: {known}"
-        )
-    return name
 
 
 def track_of(names: Iterable[str]) -> str:

@@ -22,7 +22,7 @@ from outlines import VIEW_WIDTH
 from magical.demos import Dataset, DatasetWriter, Trajectory
 from magical.demos.human import FullFrames, find_published, read_demonstration
 from magical.physics import Simulation
-from magical.processes import map_in_order
+from magical.processes import map_in_processes
 from magical.render import Renderer
 from magical.scene import Poses, Scene, View
 from magical.scene.actions import POINTS
@@ -55,7 +55,8 @@ def main() -> None:
     writer = DatasetWriter(args.out)
     known = {entry.name for entry in Dataset.open(args.out).entries}
     files = [file for file in find_published(args.source) if file.name not in known]
-    for file, found in map_in_order(recovered, files, args.workers):
+    outcomes = map_in_processes(recovered, files, args.workers)
+    for file, found in zip(files, outcomes, strict=True):
         if isinstance(found, Trajectory):
             writer.append(found)
         print(f"{file.name}: {found}", flush=True)

@@ -17,7 +17,7 @@ from magical.demos.human import (
     published_sums,
     read_demonstration,
 )
-from magical.errors import DownloadError, UnsafeFileError
+from magical.errors import DatasetError
 from magical.scene import Poses
 from tests.demos.conftest import MODULE, Run, published, write
 
@@ -80,7 +80,7 @@ def test_sums_of_the_published_archive() -> None:
 
 def test_a_file_of_a_published_name_must_have_the_published_sum(tmp_path: Path) -> None:
     file = write(tmp_path / Path(ONE).name, published())
-    with pytest.raises(UnsafeFileError, match=f"expected SHA-256 {published_sums()[ONE]}, found"):
+    with pytest.raises(DatasetError, match=f"expected SHA-256 {published_sums()[ONE]}, found"):
         read_demonstration(file)
 
 
@@ -115,7 +115,7 @@ LARGE, NEGATIVE = b"M\x80\x01M\x80\x01K\x04", b"J\x80\xfe\xff\xffJ\x80\xfe\xff\x
 def test_parts_that_do_not_fit_are_refused(tmp_path: Path, parts: Any, message: str) -> None:
     data = parts if isinstance(parts, bytes) else published(**parts)
     file = write(tmp_path / "demo.pkl.gz", data)
-    with pytest.raises(UnsafeFileError, match=message) as caught:
+    with pytest.raises(DatasetError, match=message) as caught:
         read_demonstration(file)
     assert str(file) in str(caught.value)
 
@@ -155,7 +155,7 @@ def test_a_hostile_pickle_is_refused_and_not_executed(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     file = write(tmp_path / "demo.pkl.gz", HOSTILE[what])
-    with pytest.raises(UnsafeFileError) as caught:
+    with pytest.raises(DatasetError) as caught:
         read_demonstration(file)
     assert str(caught.value).startswith(str(file))
     assert str(caught.value).isprintable()
@@ -167,7 +167,7 @@ def test_what_unpacks_to_too_much_is_refused(
 ) -> None:
     file = write(tmp_path / "demo.pkl.gz", published())
     monkeypatch.setattr("magical.demos.human.MAX_UNPACKED", 2_000_000)
-    with pytest.raises(UnsafeFileError, match="unpacks to more than 2000000 bytes"):
+    with pytest.raises(DatasetError, match="unpacks to more than 2000000 bytes"):
         read_demonstration(file)
 
 
@@ -209,5 +209,5 @@ def test_files_that_cannot_be_fetched_are_named(tmp_path: Path) -> None:
     found, errors = download(wanted, tmp_path / "d", url, lambda _: None)
     assert found == [tmp_path / "d" / "good"]
     assert [error.partition(": ")[0] for error in errors] == [f"{url}/other", f"{url}/missing"]
-    with pytest.raises(DownloadError, match="run again"):
+    with pytest.raises(DatasetError, match="run again"):
         download(wanted, tmp_path / "none", f"{url}/none", lambda _: None)

@@ -20,9 +20,9 @@ from magical.envs.ids import parse_env_id
 from magical.envs.vector import MagicalVectorEnv
 from magical.errors import (
     InvalidActionError,
-    InvalidScoreError,
     InvalidStateError,
-    MismatchedSpacesError,
+    InvalidTaskError,
+    ObservationError,
     ResetNeededError,
     UnknownNameError,
 )
@@ -286,8 +286,8 @@ TWO_PRESETS = ["MakeLine-Demo-LoRes4A-v0", "MakeLine-Demo-LoRes4E-v0"]
         ({"env_ids": []}, ValueError, "expected a list"),
         ({"env_ids": MAKE_LINE}, ValueError, "expected a list"),
         ({"env_ids": [EnvId("MoveToCorner", "TestLayout")]}, UnknownNameError, "TestJitter"),
-        ({"env_ids": TWO_PRESETS, "observation": None}, MismatchedSpacesError, "LoRes4A, LoRes4E"),
-        ({"env_ids": [MAKE_LINE, MIXED[1]]}, MismatchedSpacesError, r"\(75,\) \(MakeLine\) and"),
+        ({"env_ids": TWO_PRESETS, "observation": None}, ObservationError, "LoRes4A, LoRes4E"),
+        ({"env_ids": [MAKE_LINE, MIXED[1]]}, ObservationError, r"\(75,\) \(MakeLine\) and"),
         ({"workers": -1}, ValueError, "workers"),
         ({"horizon": 0}, ValueError, "horizon"),
         ({"autoreset_mode": "same_step"}, UnknownNameError, "NextStep or SameStep or Disabled"),
@@ -350,7 +350,7 @@ def raising(scene: Any, poses: Any) -> Any:
     [
         (raising, ValueError, "no score today"),
         *(
-            (lambda *_, v=value: v, InvalidScoreError, f"Misbehaving.*from 0 to 1, found {value!r}")
+            (lambda *_, v=value: v, InvalidTaskError, f"Misbehaving.*from 0 to 1, found {value!r}")
             for value in (np.nan, -0.1, 1.5, None, "1")
         ),
     ],

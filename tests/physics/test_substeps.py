@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from magical.errors import DependencyVersionError
+from magical.errors import MissingDependencyError
 from magical.physics import Simulation, substeps
 from magical.scene.actions import POINTS
 from magical.tasks import TASKS
@@ -91,5 +91,5 @@ def test_another_pymunk_is_refused(
     name: str, value: object, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(substeps, name, value)
-    with pytest.raises(DependencyVersionError, match=r"pip install 'pymunk>=7.3,<7.4'"):
+    with pytest.raises(MissingDependencyError, match=r"pip install 'pymunk>=7.3,<7.4'"):
         substeps.c_functions()

@@ -207,7 +207,7 @@ def test_missing_libraries_are_named_before_the_work(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)  # there is no folder `a`: that would be found first
-    monkeypatch.setattr(extras, "_is_installed", lambda module: module != "jinja2")
+    monkeypatch.setattr(extras, "find_spec", lambda module: None if module == "jinja2" else 1)
     assert cli.main(argv) == 1
     assert "this needs jinja2, which is not installed" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []

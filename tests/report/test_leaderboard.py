@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from magical import cli
-from magical.errors import SiteError
+from magical.errors import RunFolderError
 from magical.evaluation import Entry
 from magical.evaluation.policy import FunctionPolicy, observed
 from magical.evaluation.protocol import NUDGE, ROLLOUTS
@@ -330,7 +330,7 @@ def test_what_is_no_leaderboard_is_named_and_not_overwritten(
     mine = tmp_path / "site" / "methods" / "001-mine"
     mine.mkdir(parents=True)
     for site in (tmp_path, tmp_path / "site"):
-        with pytest.raises(SiteError, match=r"expected no pages or a leaderboard's"):
+        with pytest.raises(RunFolderError, match=r"expected no pages or a leaderboard's"):
             board.write(site)
     assert (tmp_path / "index.html").read_text() == "mine"
     assert mine.is_dir()

@@ -34,7 +34,6 @@ from torch.optim import Optimizer
 
 from magical.errors import (
     CheckpointError,
-    CheckpointMismatchError,
     DivergedError,
     InvalidConfigError,
     MagicalError,
@@ -211,8 +210,7 @@ def load_checkpoint(path: Path) -> StateDict:
     """Read what `save_checkpoint` wrote.
 
     Raises:
-        CheckpointError: the file is missing or no safetensors file.
-        CheckpointMismatchError: it is a safetensors file, but not a checkpoint.
+        CheckpointError: the file is missing, or not a checkpoint.
     """
     with reading(path, CheckpointError):
         data = read_bounded(path, MAX_BYTES)
@@ -237,7 +235,7 @@ def restoring(path: Path) -> Iterator[None]:
     """Context manager for restoring state that was read from a checkpoint or a folder with one.
 
     Raises:
-        CheckpointMismatchError: the state does not fit: it is of another network or program.
+        CheckpointError: the state does not fit: it is of another network or program.
     """
     try:
         yield
@@ -247,7 +245,7 @@ def restoring(path: Path) -> Iterator[None]:
         *(AttributeError, IndexError, KeyError, OverflowError, RecursionError, RuntimeError),
         *(SafetensorError, TypeError, ValueError, zlib.error),
     ) as error:
-        raise CheckpointMismatchError(
+        raise CheckpointError(
             f"{path}: the checkpoint is of another network or program; continue with the code that "
             f"saved it, or train again: {type(error).__name__}: {printable(str(error))}"
         ) from error
@@ -381,7 +379,7 @@ class Run:
         """Save parts, such as modules and optimisers, in every checkpoint, each under its name.
 
         They are restored from the checkpoint that the run resumes from, if it has any of them,
-        which is returned; raises `CheckpointMismatchError` if they do not fit. The part `policy` is
+        which is returned; raises `CheckpointError` if they do not fit. The part `policy` is
         what `load_policy` loads.
         """
         self._parts |= parts

@@ -13,7 +13,7 @@ from filelock import FileLock
 import magical
 from baselines.tests.experiments.conftest import Inline, execute, scores_of
 from magical.cli import main
-from magical.errors import PlacementError, ResultsError
+from magical.errors import PlacementError, RunFolderError
 from magical.evaluation import read_entry
 from magical.runs import machine, versions
 from magical_baselines import load_policy, read_config
@@ -71,12 +71,12 @@ def test_a_run_with_other_settings_is_not_replaced(planned, copied, done):
     (run, _) = planned()
     if not done:
         (copied / "runs" / run.folder / "result.json").unlink()
-    with pytest.raises(ResultsError, match=f"{run.folder} holds .*batches 6 there, 7 asked for"):
+    with pytest.raises(RunFolderError, match=f"{run.folder} holds .*batches 6 there, 7 asked for"):
         execute(planned(("batches = 6", "batches = 7")), copied)
     if done:
-        with pytest.raises(ResultsError, match="other settings: evaluation"):
+        with pytest.raises(RunFolderError, match="other settings: evaluation"):
             execute(planned(("rollouts = 1", "rollouts = 2")), copied)
-        with pytest.raises(ResultsError, match="demonstrations 'expert' there, 'dataset'"):
+        with pytest.raises(RunFolderError, match="demonstrations 'expert' there, 'dataset'"):
             execute(planned(demos=str(copied / "demos" / "expert-3")), copied)
 
 
@@ -130,17 +130,17 @@ def test_no_space_stops_the_plan_and_says_so(planned, out, monkeypatch):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(one_run, "evaluate_run", full)
-    with pytest.raises(ResultsError, match=r"no space left on the device.* free some space"):
+    with pytest.raises(RunFolderError, match=r"no space left on the device.* free some space"):
         execute(planned(), out)
     assert states(out) == ["waiting", "waiting"]
 
 
 def test_other_folders_and_folders_in_use_are_refused(planned, copied):
-    with pytest.raises(ResultsError, match="expected an empty folder"):
+    with pytest.raises(RunFolderError, match="expected an empty folder"):
         execute(planned(), copied / "demos")
     with FileLock(copied / ".lock"):
         assert read_status(copied).active
-        with pytest.raises(ResultsError, match="another process already runs a plan in it"):
+        with pytest.raises(RunFolderError, match="another process already runs a plan in it"):
             execute(planned(), copied)
     with FileLock(lock_of(copied / "runs" / planned()[1].folder)):
         (copied / "runs" / planned()[0].folder / "result.json").write_text("{")

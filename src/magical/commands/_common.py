@@ -35,7 +35,7 @@ def add_several(
     parser.add_argument(flag, action="extend", metavar=metavar, help=meaning, **options)
 
 
-def add_tasks(parser: argparse.ArgumentParser, default: str = "all") -> None:
+def add_tasks(parser: argparse.ArgumentParser, default: str) -> None:
     """Add `--task A B`; `args.task` is a list of names, or `None` for the default."""
     meaning = f"tasks, by name or as module:TASK (default: {default})"
     add_several(parser, "--task", meaning, "TASK", kind=task_name)
@@ -43,12 +43,10 @@ def add_tasks(parser: argparse.ArgumentParser, default: str = "all") -> None:
 
 def task_name(text: str) -> str:
     """A task's name; `module:TASK` is imported, and the name is that of the task."""
-    if ":" not in text:
-        return text
     from magical.tasks import load_task
 
     try:
-        return load_task(text).name
+        return load_task(text).name if ":" in text else text
     except MagicalError as error:
         raise argparse.ArgumentTypeError(str(error)) from error
 
@@ -109,8 +107,7 @@ def add_out(
 
     def parsed(text: str) -> Path:
         if metavar.startswith("FILE") and Path(text).is_dir():
-            found = f"the folder {quoted(text)}"
-            raise argparse.ArgumentTypeError(f"expected a file, found {found}")
+            raise argparse.ArgumentTypeError(f"expected a file, found the folder {quoted(text)}")
         return Path(text)
 
     parser.add_argument("--out", type=parsed, required=required, metavar=metavar, help=meaning)
@@ -132,25 +129,24 @@ def print_table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> None
 
     Floats are printed with three decimals, `None` as `-`, and lists with commas.
     """
-    cells = [[for_terminal(_text(cell)) for cell in row] for row in rows]
-    columns = list(zip(header, *cells, strict=True))
-    widths = [max(map(len, column)) for column in columns]
-    numeric = [bool(cells) and all(map(NUMBER.fullmatch, column[1:])) for column in columns]
-    for line in [list(header), ["-" * width for width in widths], *cells]:
-        padded = [
-            cell.rjust(width) if right else cell.ljust(width)
-            for cell, width, right in zip(line, widths, numeric, strict=True)
-        ]
-        print("  ".join(padded).rstrip())
+
+    def text(cell: object) -> str:
+        if isinstance(cell, list | tuple):
+            return ", ".join(map(str, cell))
+        return "-" if cell is None else f"{cell:.3f}" if isinstance(cell, float) else str(cell)
+
+    cells = [[for_terminal(text(cell)) for cell in row] for row in rows]
+    aligned = []
+    for column in zip(header, *cells, strict=True):
+        numeric = bool(cells) and all(map(NUMBER.fullmatch, column[1:]))
+        width = max(map(len, column))
+        column = (column[0], "-" * width, *column[1:])
+        aligned.append([f"{cell:{'>' if numeric else '<'}{width}}" for cell in column])
+    for line in zip(*aligned, strict=True):
+        print("  ".join(line).rstrip())
 
 
 def print_records(records: Sequence[Mapping[str, object]]) -> None:
     """Print a table with a row for each record; all have the same keys."""
     if records:
         print_table(list(records[0]), [list(record.values()) for record in records])
-
-
-def _text(cell: object) -> str:
-    if isinstance(cell, list | tuple):
-        return ", ".join(map(str, cell))
-    return "-" if cell is None else f"{cell:.3f}" if isinstance(cell, float) else str(cell)

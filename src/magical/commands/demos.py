@@ -18,7 +18,7 @@ from magical.demos import Dataset, DatasetWriter, export, generate, human
 from magical.demos.dataset import summarise
 from magical.demos.trajectory import replay
 from magical.envs import parse_env_id
-from magical.errors import DatasetError, DownloadError
+from magical.errors import DatasetError
 from magical.grouping import group_by
 from magical.processes import checked_workers
 from magical.progress import ProgressBar
@@ -99,6 +99,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: Args) -> int:
     if "dataset" in args:
         args.dataset = Dataset.open(args.dataset)
+    if "workers" in args:
+        args.workers = checked_workers(args.workers)
     result = args.function(args)
     common.print_json(args, result)
     return int(bool(result.get("failed") or result.get("not_fetched")))
@@ -113,7 +115,7 @@ def _download(args: Args) -> Result:
     sums = human.published_sums().items()
     wanted = {file: digest for file, digest in sums if fnmatch.fnmatch(file, args.files)}
     if not wanted:
-        raise DownloadError(f"--files {args.files}: expected a pattern that published files match")
+        raise DatasetError(f"--files {args.files}: expected a pattern that published files match")
     DatasetWriter(args.out)
     have = {entry.name for entry in Dataset.open(args.out).entries}
     lacking = {file: digest for file, digest in wanted.items() if Path(file).name not in have}
@@ -129,7 +131,7 @@ def _download(args: Args) -> Result:
 
 
 def _import_files(files: list[Path], args: Args) -> Result:
-    options = {"workers": _workers(args), "skip_duplicates": args.skip_duplicates}
+    options = {"workers": args.workers, "skip_duplicates": args.skip_duplicates}
     with ProgressBar("import", len(files)) as bar:
         report = human.import_published(files, args.out, progress=bar.advance, **options)
     print(f"imported {len(report.imported)} demonstrations into {args.out}")
@@ -141,10 +143,6 @@ def _import_files(files: list[Path], args: Args) -> Result:
     return {"out": str(args.out), "not_fetched": [], **asdict(report)}
 
 
-def _workers(args: Args) -> int:
-    return max(1, checked_workers(args.workers))
-
-
 def _log_duplicates(duplicates: Sequence[tuple[str, str]]) -> None:
     for later, earlier in duplicates:
         common.log(f"duplicate: {later!a} shows the same episode as {earlier!a}")
@@ -152,13 +150,12 @@ def _log_duplicates(duplicates: Sequence[tuple[str, str]]) -> None:
 
 def _generate(args: Args) -> Result:
     ids = [parse_env_id(env_id).without_preset for env_id in args.env]
-    names = ("seed", "first", "perturb", "min_score")
-    options = {name: getattr(args, name) for name in names} | {"workers": _workers(args)}
-    reports = []
+    names = ("seed", "first", "perturb", "min_score", "workers")
+    options = {name: getattr(args, name) for name in names}
     with ProgressBar("generate", args.n * len(ids)) as bar:
-        for env_id in ids:
-            options["progress"] = bar.advance
-            reports.append(asdict(generate.generate(env_id, args.n, args.out, **options)))
+        options["progress"] = bar.advance
+        made = [generate.generate(env_id, args.n, args.out, **options) for env_id in ids]
+    reports = [asdict(report) for report in made]
     common.print_records([{**report, "scores": fmean(report["scores"])} for report in reports])
     if copies := Dataset.open(args.out).duplicates():
         common.log(

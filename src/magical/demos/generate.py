@@ -4,7 +4,7 @@ from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
-from itertools import count
+from itertools import count, filterfalse, tee
 from pathlib import Path
 
 from magical.demos.dataset import Dataset, DatasetWriter
@@ -15,7 +15,7 @@ from magical.envs.seeds import episode_seed
 from magical.errors import DatasetError
 from magical.experts import modules_of, rollout
 from magical.experts.noise import check_share
-from magical.processes import map_in_order
+from magical.processes import map_in_processes
 from magical.tasks import with_tasks
 
 MAX_DROPPED = 20  # attempts below the score, per requested demonstration, before giving up
@@ -76,11 +76,13 @@ def generate(
         and entry.metadata.get("perturb") == perturb
     }
     make = with_tasks(partial(demonstrate, parsed, perturb=perturb), modules)
-    series = (episode_seed(seed, attempt) for attempt in count(first))
+    series, others = tee(episode_seed(seed, attempt) for attempt in count(first))
+    unknown = filterfalse(known.__contains__, others)
     scores, dropped, already = list[float](), 0, 0
-    with closing(map_in_order(make, series, min(workers, number), skip=known)) as attempts:
+    with closing(map_in_processes(make, unknown, min(workers, number))) as attempts:
         while len(scores) < number:
-            scene_seed, trajectory = next(attempts)
+            scene_seed = next(series)
+            trajectory = None if scene_seed in known else next(attempts)
             score = known[scene_seed] if trajectory is None else trajectory.score or 0.0
             if score < min_score:
                 dropped += 1

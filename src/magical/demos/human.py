@@ -27,11 +27,11 @@ from magical.demos.dataset import Dataset, DatasetWriter
 from magical.demos.trajectory import Trajectory
 from magical.envs.action_spec import DISCRETE
 from magical.envs.ids import parse_env_id
-from magical.errors import DatasetError, DownloadError, MagicalError, UnsafeFileError
+from magical.errors import DatasetError, MagicalError
 from magical.extras import require
 from magical.files import sha256_sum
 from magical.messages import printable, quoted
-from magical.processes import map_in_order
+from magical.processes import map_in_processes
 from magical.scene import View
 from magical.scene.constants import FRAME_SIZE, RAW_FRAME_SIZE
 
@@ -62,7 +62,7 @@ def download(
     """Fetch the files that are not yet in a folder (extra `human`).
 
     `sums` has the files' SHA-256 sums, by path relative to `base_url` and `folder`. Returns the
-    files that are there now, and what is wrong with the others. Raises `DownloadError` if none of
+    files that are there now, and what is wrong with the others. Raises `DatasetError` if none of
     the first three can be fetched.
     """
     require("human")
@@ -79,7 +79,7 @@ def download(
         except (OSError, ValueError) as error:
             errors.append(f"{url}{name}: {printable(str(error))}; run again for what is missing")
             if not found and len(errors) in (3, len(sums)):
-                raise DownloadError(errors[-1]) from error
+                raise DatasetError(errors[-1]) from error
         progress(1)
     return found, errors
 
@@ -111,8 +111,8 @@ def import_published(
     report = ImportReport(already=[file.name for file in files if file not in wanted])
     first = {entry.fingerprint: Path(entry.name) for entry in entries}
     progress(len(report.already))
-    with closing(map_in_order(_outcome, wanted, min(workers, len(wanted) or 1))) as outcomes:
-        for file, outcome in outcomes:
+    with closing(map_in_processes(_outcome, wanted, min(workers, len(wanted)))) as outcomes:
+        for file, outcome in zip(wanted, outcomes, strict=True):
             progress(1)
             if not isinstance(outcome, Trajectory):
                 report.failed.append((str(file), outcome or ""))
@@ -139,24 +139,24 @@ def _outcome(file: Path) -> Trajectory | str:
 def read_demonstration(path: Path) -> tuple[Trajectory, FullFrames]:
     """Read one published file: its trajectory, of frames averaged 4 x 4, and its own frames.
 
-    Raises `UnsafeFileError` if the file cannot be read, has not the published sum, is damaged, too
+    Raises `DatasetError` if the file cannot be read, has not the published sum, is damaged, too
     large, or contains anything other than a demonstration as plain data.
     """
     try:
         digest = sha256_sum(path)
         expected = {Path(name).name: known for name, known in published_sums().items()}
         if expected.get(path.name, digest) != digest:
-            raise UnsafeFileError(f"expected SHA-256 {expected[path.name]}, found {digest}")
+            raise DatasetError(f"expected SHA-256 {expected[path.name]}, found {digest}")
         with gzip.open(path) as file:
             data = file.read(MAX_UNPACKED + 1)
         if len(data) > MAX_UNPACKED:
-            raise UnsafeFileError(f"unpacks to more than {MAX_UNPACKED} bytes")
+            raise DatasetError(f"unpacks to more than {MAX_UNPACKED} bytes")
         return _demonstration(_load(data), {"source": path.name, "source_sha256": digest})
     except MagicalError as error:
-        raise UnsafeFileError(f"{path}: {error}") from error
+        raise DatasetError(f"{path}: {error}") from error
     except Exception as error:  # gzip, pickle and NumPy raise many kinds
         what = printable(f"{type(error).__name__}: {error}")
-        raise UnsafeFileError(f"{path}: expected a demonstration, found {what}") from error
+        raise DatasetError(f"{path}: expected a demonstration, found {what}") from error
 
 
 def average(frame: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -190,30 +190,30 @@ class _Unpickler(pickle.Unpickler):
         if (module, name) in _NAMES:
             return _NAMES[module, name]
         found = printable(f"{module}.{name}")
-        raise UnsafeFileError(f"expected plain data, found the name {found}; nothing was executed")
+        raise DatasetError(f"expected plain data, found the name {found}; nothing was executed")
 
 
 def _load(data: bytes) -> Any:
     for count, (opcode, argument, _) in enumerate(pickletools.genops(data)):
         index = argument if isinstance(argument, int) and "PUT" in opcode.name else 0
         if max(count, index) > MAX_OPCODES:
-            raise UnsafeFileError(f"expected at most {MAX_OPCODES} objects, found more")
+            raise DatasetError(f"expected at most {MAX_OPCODES} objects, found more")
     return _Unpickler(io.BytesIO(data)).load()
 
 
 def _demonstration(data: Any, source: Mapping[str, str]) -> tuple[Trajectory, FullFrames]:
     record, env_name, score = data["trajectory"], data["env_name"], data["score"]
     if not re.fullmatch(r"\w+-Demo-v0", env_name):  # no module's name, which would be imported
-        raise UnsafeFileError(f"expected a Demo environment, found {quoted(env_name)}")
+        raise DatasetError(f"expected a Demo environment, found {quoted(env_name)}")
     if not isinstance(score, int | float) or not 0.0 <= score <= 1.0:
-        raise UnsafeFileError(f"score: expected a number from 0 to 1, found {quoted(score)}")
+        raise DatasetError(f"score: expected a number from 0 to 1, found {quoted(score)}")
     if len(record.obs) * math.prod(_SHAPE) > MAX_UNPACKED:  # frames may be shared
-        raise UnsafeFileError(f"obs: expected fewer, found {len(record.obs)}")
+        raise DatasetError(f"obs: expected fewer, found {len(record.obs)}")
     actions = DISCRETE.checked_batch(record.acts, len(record.obs) - 1, "acts")
     frames = {view: [observed[view] for observed in record.obs] for view in View}
     for frame in (frame for of_view in frames.values() for frame in of_view):
         if not isinstance(frame, np.ndarray) or frame.shape != _SHAPE or frame.dtype != np.uint8:
-            raise UnsafeFileError(f"obs: expected uint8 frames {_SHAPE}, found {quoted(frame)}")
+            raise DatasetError(f"obs: expected uint8 frames {_SHAPE}, found {quoted(frame)}")
     env_id = parse_env_id(env_name)
     trajectory = Trajectory(
         env_id=env_id,

@@ -16,8 +16,8 @@ from magical.envs.ids import EnvId
 from magical.envs.keys import KEYS_TO_ACTION
 from magical.errors import (
     InvalidConfigError,
-    InvalidScoreError,
     InvalidStateError,
+    InvalidTaskError,
     MagicalError,
     ResetNeededError,
     UnknownNameError,
@@ -214,7 +214,7 @@ class MagicalEnv(gym.Env[Any, Any]):
             InvalidActionError: not an integer from 0 to 17, or for continuous actions not three
                 numbers from -1 to 1; the episode is unchanged.
             ResetNeededError: before the first reset, or after the episode's end.
-            InvalidScoreError: the task's score at the episode's end is not a number from 0 to 1.
+            InvalidTaskError: the task's score at the episode's end is not a number from 0 to 1.
         """
         if not self.is_running:
             raise ResetNeededError(
@@ -274,7 +274,7 @@ class MagicalEnv(gym.Env[Any, Any]):
         return self._last_potential - before, scores
 
     def scores(self) -> Scores:
-        """The current state's scores, at any step; raises `InvalidScoreError`."""
+        """The current state's scores, at any step; raises `InvalidTaskError`."""
         self._require_episode("scores")
         task, scene, poses = self.task, self.simulation.scene, Poses(self.bodies[:, :3])
         score = _checked_score(task, "score", task.score(scene, poses))
@@ -409,10 +409,10 @@ def known(what: str, value: Any, choices: Sequence[Any]) -> Any:
 
 
 def _checked_score(task: Task, name: str, value: Any) -> float:
-    """The score as a float; raises `InvalidScoreError`."""
+    """The score as a float; raises `InvalidTaskError`."""
     number = isinstance(value, float | int | np.number | np.bool_)
     if not number or not 0.0 <= value <= 1.0:
-        raise InvalidScoreError(
+        raise InvalidTaskError(
             f"task {task.name}: expected a {name} from 0 to 1, found {quoted(value)}; "
             "correct the task's score function"
         )

@@ -17,7 +17,7 @@ from magical.envs.env import SCORE_KEYS, MagicalEnv, known, time_limit_error
 from magical.envs.ids import EnvId, parse_env_id
 from magical.errors import (
     InvalidSceneError,
-    MismatchedSpacesError,
+    ObservationError,
     ResetNeededError,
 )
 from magical.messages import quoted
@@ -59,7 +59,7 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
     Raises:
         UnknownNameError: an unknown id or autoreset mode.
         ValueError: no ids, or an invalid number of workers.
-        MismatchedSpacesError: sub-environments whose observation spaces differ.
+        ObservationError: sub-environments whose observation spaces differ.
         MagicalError: what `MagicalEnv` refuses.
     """
 
@@ -388,10 +388,10 @@ class _Copy:
 
 
 def _common_preset(env_ids: Sequence[EnvId]) -> str | None:
-    """The preset that the ids agree on; raises `MismatchedSpacesError` if they do not."""
+    """The preset that the ids agree on; raises `ObservationError` if they do not."""
     presets = {env_id.preset for env_id in env_ids}
     if len(presets) > 1:
-        raise MismatchedSpacesError(
+        raise ObservationError(
             "environments in one batch: expected the same preset in all ids, found "
             f"{', '.join(sorted(map(str, presets)))}; or give observation=..."
         )
@@ -399,11 +399,11 @@ def _common_preset(env_ids: Sequence[EnvId]) -> str | None:
 
 
 def _check_spaces(envs: Sequence[MagicalEnv]) -> None:
-    """Raise `MismatchedSpacesError` for observations of different spaces, as of state vectors."""
+    """Raise `ObservationError` for observations of different spaces, as of state vectors."""
     first = envs[0]
     for env in {env.task.name: env for env in envs}.values():
         if env.observation_space != first.observation_space:
-            raise MismatchedSpacesError(
+            raise ObservationError(
                 "environments in one batch: expected one observation space, found "
                 f"shape {first.observation_space.shape} ({first.task.name}) and "
                 f"{env.observation_space.shape} ({env.task.name}); use a pixel observation or a "

@@ -29,14 +29,14 @@ from magical import __version__
 from magical.envs import EnvId, parse_env_id
 from magical.envs.action_spec import DISCRETE
 from magical.envs.seeds import evaluation_seed
-from magical.errors import MagicalError, PolicyError, ScoresError
+from magical.errors import MagicalError, PolicyError, ScoresError, UnknownNameError
 from magical.evaluation.policy import Policy, action_spec_of, load_policy, observed, policy_names
 from magical.evaluation.protocol import Evaluated, Evaluation
 from magical.files import convert, read_json, reading, write_atomically, write_json
 from magical.grouping import group_by
 from magical.messages import printable, quoted
 from magical.observe import STATE, Observation, parse_spec
-from magical.runs import is_run, parse_source, provenance
+from magical.runs import SOURCES, is_run, provenance
 from magical.tasks.axes import short_variant
 from magical.tasks.horizons import APPENDIX
 
@@ -89,8 +89,11 @@ class Record:
     notes: Annotated[str, Meta(max_length=2000)] = ""  # authors, links
 
     def __post_init__(self) -> None:
-        for name in self.learned_from or ():
-            parse_source(name)
+        if unknown := [name for name in self.learned_from or () if name not in SOURCES]:
+            raise UnknownNameError(
+                f"{quoted(unknown[0])} is not a source of learning; expected some of: "
+                f"{', '.join(SOURCES)}"
+            )
 
     @property
     def unfinished(self) -> str:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pymunk._chipmunk_cffi import ffi, lib
 
 from magical.compiled import ADDRESS, FLOAT, c_function, floats_at, inlined, kernel
-from magical.errors import DependencyVersionError
+from magical.errors import MissingDependencyError
 from magical.scene import constants as c
 
 # The C functions that compiled code calls.
@@ -42,7 +42,7 @@ def c_functions() -> list[Any]:
     """The functions in `SIGNATURES`, for kernels to call.
 
     Raises:
-        DependencyVersionError: pymunk lacks one of them, one has other arguments, or a body has
+        MissingDependencyError: pymunk lacks one of them, one has other arguments, or a body has
             another layout in memory.
     """
     body = pymunk.Body(2.0, 4.0)
@@ -53,7 +53,7 @@ def c_functions() -> list[Any]:
     functions = {name: ffi.addressof(lib, name) for name in SIGNATURES if hasattr(lib, name)}
     found = {name: ffi.typeof(function).cname for name, function in functions.items()}
     if found != SIGNATURES or memory[POINTERS:].tolist() != LAYOUT:
-        raise DependencyVersionError(
+        raise MissingDependencyError(
             f"expected the C functions and bodies of pymunk 7.3, found others in pymunk "
             f"{pymunk.version}; pip install 'pymunk>=7.3,<7.4'"
         )

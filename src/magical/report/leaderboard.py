@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from magical import __version__
-from magical.errors import MagicalError, ScoresError, SiteError, UnknownNameError
+from magical.errors import MagicalError, RunFolderError, ScoresError, UnknownNameError
 from magical.evaluation import Entry, published_tasks
 from magical.evaluation.policy import NO_OBSERVATION
 from magical.evaluation.protocol import NUDGE, ROLLOUTS, SEED
@@ -287,12 +287,14 @@ class Leaderboard:
         """Write the index, and a report of each method; those of an earlier one are removed.
 
         Raises:
-            SiteError: the index page or `methods` exists but is not a leaderboard's.
+            RunFolderError: the index page or `methods` exists but is not a leaderboard's.
         """
         index, folder = site / "index.html", site / METHODS
         ours = index.exists() and MARK in index.read_bytes()
         if not ours and (index.exists() or folder.exists()):
-            raise SiteError(f"{site}: expected no pages or a leaderboard's; choose another folder")
+            raise RunFolderError(
+                f"{site}: expected no pages or a leaderboard's; choose another folder"
+            )
         shutil.rmtree(folder, ignore_errors=True)
         pages = {}
         groups = group_by(self.accepted, attrgetter("entry.method"))

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 from magical.demos.dataset import Dataset, DatasetWriter
 from magical.demos.generate import generate
 from magical.envs.ids import EnvId
-from magical.errors import ClusterError, DemonstrationsError, ResultsError, WorkerDiedError
+from magical.errors import ClusterError, DemonstrationsError, RunFolderError, WorkerDiedError
 from magical.messages import for_terminal
 from magical.processes import available_cores
 from magical.runs import CONFIG, PLAN, REFERENCES, RUNS, is_run, read_json, write_json
@@ -139,7 +139,7 @@ def execute(
         Whether Ctrl-C or SIGTERM interrupted it; they leave checkpoints.
 
     Raises:
-        ResultsError: the folder cannot be used for these runs, or no space is left.
+        RunFolderError: the folder cannot be used for these runs, or no space is left.
         ClusterError: the Ray cluster is lost.
         DatasetError, DemonstrationsError: no demonstrations to learn from, or too few.
     """
@@ -211,23 +211,23 @@ def _ending(work: Planned, folder: Path, error: BaseException | None) -> str:
 def opened(out: Path) -> Iterator[None]:
     """Hold the lock of a results folder, which is created if missing.
 
-    Raises `ResultsError`: the folder holds other files; another process executes a plan in it; no
+    Raises `RunFolderError`: the folder holds other files; another process executes a plan in it; no
     space is left on the device.
     """
     if out.exists() and not (out / PLAN).exists():
         known = {RUNS, REFERENCES, DEMOS}  # of a plan that was killed
         if not out.is_dir() or {path.name for path in out.glob("[!.]*")} - known:
-            raise ResultsError(
+            raise RunFolderError(
                 f"{out}: expected an empty folder, found other things; choose another"
             )
-    with owned(out, ResultsError, "runs a plan in it"):
+    with owned(out, RunFolderError, "runs a plan in it"):
         yield
 
 
 def planned_state(run: PlannedRun, out: Path) -> str | None:
     """`done`, `failed`, or `None` for a run that has not been finished in a results folder.
 
-    Raises `ResultsError` if its folder holds a run with other settings, or a damaged record.
+    Raises `RunFolderError` if its folder holds a run with other settings, or a damaged record.
     """
     folder = out / RUNS / run.folder
     result, different = read_result(folder), ""
@@ -239,7 +239,7 @@ def planned_state(run: PlannedRun, out: Path) -> str | None:
     elif is_run(folder):
         different = differences(run.config.to_dict(), read_json(folder / CONFIG))
     if different:
-        raise ResultsError(
+        raise RunFolderError(
             f"{folder} holds a run with other settings: {different}; choose another folder "
             "(--out), or remove this one to do the run again"
         )

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from magical.errors import MagicalError, ResultsError
+from magical.errors import MagicalError, RunFolderError
 from magical.evaluation.entry import ENTRY_FILE
 from magical.files import LOCK, read_json
 from magical.messages import printable, quoted
@@ -77,11 +77,11 @@ class Status:
 def read_status(folder: Path | str) -> Status:
     """Read the progress of a plan in a results folder, without disturbing its execution.
 
-    Raises `ResultsError`: not a results folder, or a damaged one.
+    Raises `RunFolderError`: not a results folder, or a damaged one.
     """
     path = Path(folder)
     if not (path / PLAN).is_file():
-        raise ResultsError(f"{path}: expected a results folder of `magical run`, found no {PLAN}")
+        raise RunFolderError(f"{path}: expected a results folder of `magical run`, found no {PLAN}")
     listing = read_listing(path)
     runs = tuple(_status(path / RUNS / run.folder, run) for run in listing.runs)
     entries = (path / REFERENCES / name / ENTRY_FILE for name in listing.references or ())
@@ -102,13 +102,13 @@ def _status(folder: Path, run: ListedRun) -> RunStatus:
 
 
 def read_result(folder: Path) -> dict[str, Any]:
-    """A run's final record, with its `state`; empty without one; `ResultsError` if damaged."""
+    """A run's final record, with its `state`; empty without one; `RunFolderError` if damaged."""
     if not (folder / RESULT).is_file():
         return {}
-    record = read_json(folder / RESULT, dict[str, Any], ResultsError)
+    record = read_json(folder / RESULT, dict[str, Any], RunFolderError)
     if (state := record.get("state")) not in (DONE, FAILED):
         found = f"expected {DONE} or {FAILED}, found {quoted(state)}"
-        raise ResultsError(f"{folder / RESULT}: state: {found}; remove the file")
+        raise RunFolderError(f"{folder / RESULT}: state: {found}; remove the file")
     return record
 
 
