@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from magical.errors import ObservationError
 from magical.messages import quoted
 from magical.observe.spec import EpisodeSource, ObservationSpec, checked, select, stack_indices
+from magical.scene import Scene, View, chosen_samples, parse_word
 from magical.scene.constants import FRAME_SIZE
-from magical.scene.scene import Scene, View, chosen_samples, parse_word
 
 if TYPE_CHECKING:
     from magical.render import Renderer

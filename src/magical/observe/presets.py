@@ -14,8 +14,8 @@ from magical.observe.pixels import STACK, PixelSpec
 from magical.observe.spec import ObservationSpec
 from magical.observe.state_vector import STATE, StateSpec
 from magical.plugins import is_plugin, load_plugin, plugins
+from magical.scene import View
 from magical.scene.constants import RAW_FRAME_SIZE
-from magical.scene.scene import View
 from magical.tasks import Task
 
 # What `observation=` accepts: a name, a specification, a mapping of PixelSpec's fields, or None.

@@ -12,7 +12,7 @@ from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
 from magical.errors import ObservationError
-from magical.scene.scene import Scene, View
+from magical.scene import Scene, View
 
 
 class Observer(Protocol):

@@ -21,9 +21,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from magical.errors import InvalidSceneError
 from magical.observe.spec import EpisodeSource, ObservationSpec, checked
+from magical.scene import COLOURS, FINGERS, FIRST_BLOCK, ROBOT, SHAPES, Scene
 from magical.scene.constants import WORKSPACE_HALF
-from magical.scene.poses import FINGERS, FIRST_BLOCK, ROBOT
-from magical.scene.scene import COLOURS, SHAPES, Scene
 
 STATE = "state"  # the name of this observation
 

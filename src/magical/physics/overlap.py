@@ -7,10 +7,9 @@ from collections.abc import Iterator
 
 import pymunk
 
-from magical.physics.simulation import block_shapes
+from magical.physics import block_shapes
+from magical.scene import Pose, Region, Shape, rectangle, robot_polygons
 from magical.scene import constants as c
-from magical.scene.geometry import rectangle, robot_polygons
-from magical.scene.scene import Pose, Region, Shape
 
 Kind = Shape | Region | None  # a block, a goal region, the robot with open fingers
 AWAY = Pose(1e4, 1e4, 0.0)  # where solids are before they are placed
