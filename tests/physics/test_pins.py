@@ -7,10 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pymunk._chipmunk_cffi import lib
 
-from magical.physics import Simulation, World, finger_position
-from magical.scene import POINTS, Pose, Poses, rotate, to_workspace
+from magical.physics import Simulation, finger_position
+from magical.scene import POINTS, ROBOT, Pose, Poses, Scene, rotate, to_workspace
 from magical.scene import constants as c
 from magical.tasks import TASKS
 
@@ -25,8 +24,8 @@ ROOTS = [(side * c.FINGER_ROOT_X, c.FINGER_ROOT_Y) for side in c.SIDES]
 
 def displacement(root: tuple[float, float], pose: Pose) -> list[Fraction]:
     """By how much a finger is off its root in the workspace, exactly."""
-    world = World()  # which frees its bodies
-    body = world.body(lib.cpBodyNew(1.0, 1.0), pose)
+    simulation = Simulation(Scene(pose))
+    body = simulation._bodies[ROBOT]
     pairs = zip(finger_position(body, root, pose), to_workspace(root, pose), strict=True)
     return [Fraction(position) - Fraction(anchor) for position, anchor in pairs]
 

@@ -7,7 +7,7 @@ function that frees it, took most of the time of a reset.
 
 import math
 from collections.abc import Sequence
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,6 @@ from pymunk._chipmunk_cffi import ffi, lib
 from magical.scene import (
     Block,
     Dynamics,
-    Point,
     Pose,
     Poses,
     Scene,
@@ -31,69 +30,14 @@ from magical.scene import (
 from magical.scene import constants as c
 
 Part = Any  # of a world: a pointer to Chipmunk's struct
-Outline = tuple[Sequence[Point] | None, float]  # a polygon, or None for a circle; its radius
+Polygon = Sequence[tuple[float, float]]
+Outline = tuple[Polygon, float]  # with its rounding radius; without points a circle
 
 ORIGIN = (0.0, 0.0)
 ROBOT_GROUP = 1  # collision group shared by all shapes of the robot
 _ALL = 0xFFFFFFFF  # collision categories
 _NO_TRANSFORM = (1.0, 0.0, 0.0, 1.0, 0.0, 0.0)
 _ROW = np.zeros(1, np.int64)
-
-
-class World:
-    """A space with what is added to it, and its `static` body; parts are C pointers."""
-
-    def __init__(self) -> None:
-        parts: list[tuple[Any, Part]] = []  # with the functions that free them
-
-        def free(space: Part) -> None:
-            lib.cpSpaceFree(space)
-            for free_part, part in parts:
-                free_part(part)
-
-        self._parts = parts
-        self.space = ffi.gc(lib.cpSpaceNew(), free)
-        lib.cpSpaceSetIterations(self.space, c.SOLVER_ITERATIONS)
-        lib.cpSpaceSetCollisionSlop(self.space, c.COLLISION_SLOP)
-        self.static = self.body(lib.cpBodyNewStatic(), (0.0, 0.0, 0.0))
-
-    def body(self, body: Part, pose: tuple[float, float, float]) -> Part:
-        """Add a new body at a pose."""
-        self._parts.append((lib.cpBodyFree, body))
-        lib.cpBodySetPosition(body, pose[:2])
-        lib.cpBodySetAngle(body, pose[2])
-        lib.cpSpaceAddBody(self.space, body)
-        return body
-
-    def shape(self, shape: Part, friction: float, group: int = 0) -> None:
-        """Add a new shape; those of one group other than 0 do not collide."""
-        self._parts.append((lib.cpShapeFree, shape))
-        lib.cpShapeSetFriction(shape, friction)
-        lib.cpShapeSetFilter(shape, (group, _ALL, _ALL))
-        lib.cpSpaceAddShape(self.space, shape)
-
-    def polygon(
-        self, body: Part, outline: Sequence[Point], radius: float, friction: float, group: int
-    ) -> None:
-        """Add a polygon with rounded corners."""
-        shape = lib.cpPolyShapeNew(body, len(outline), outline, _NO_TRANSFORM, radius)
-        self.shape(shape, friction, group)
-
-    def joint(
-        self,
-        joint: Part,
-        max_force: float = math.inf,
-        max_bias: float = math.inf,
-        error_bias: float | None = None,
-    ) -> Part:
-        """Add a new joint."""
-        self._parts.append((lib.cpConstraintFree, joint))
-        lib.cpConstraintSetMaxForce(joint, max_force)
-        lib.cpConstraintSetMaxBias(joint, max_bias)
-        if error_bias is not None:
-            lib.cpConstraintSetErrorBias(joint, error_bias)
-        lib.cpSpaceAddConstraint(self.space, joint)
-        return joint
 
 
 class Simulation:
@@ -113,18 +57,25 @@ class Simulation:
         self._kernels = substeps
         self.scene = scene
         self.dynamics = dynamics or Dynamics()
-        self._world = world = World()
-        add_walls(world)
+        self._parts: list[tuple[Any, Part]] = []  # with the functions that free them
+        self._space = ffi.gc(lib.cpSpaceNew(), partial(_free, self._parts))
+        lib.cpSpaceSetIterations(self._space, c.SOLVER_ITERATIONS)
+        lib.cpSpaceSetCollisionSlop(self._space, c.COLLISION_SLOP)
+        self._static = self._add_body(lib.cpBodyNewStatic(), Pose(0.0, 0.0, 0.0))
+        far = c.WORKSPACE_HALF + c.WALL_DISTANCE
+        corners = ((-far, far), (far, far), (far, -far), (-far, -far))
+        for wall in zip(corners, corners[1:] + corners[:1], strict=True):
+            self._add_shape(self._static, wall, c.WALL_RADIUS, c.WALL_FRICTION, 0)
         if scene.robot_first:
-            robot, driven = add_robot(world, scene.robot, self.dynamics)
+            robot, driven = self._add_robot()
         blocks = [
-            add_block(world, block, self.dynamics, group)
+            self._add_block(block, group)
             for group, block in enumerate(scene.blocks, ROBOT_GROUP + 1)
         ]
         if not scene.robot_first:
-            robot, driven = add_robot(world, scene.robot, self.dynamics)
+            robot, driven = self._add_robot()
         self._bodies = [*robot, *blocks]
-        self.robot = np.array([substeps.address(part) for part in (world.space, *driven)])
+        self.robot = np.array([substeps.address(part) for part in (self._space, *driven)])
         turns = np.array([substeps.address(each) for each in self._bodies])
         positions = turns.copy()
         positions[3:5] = turns[0]  # eyes have no position of their own
@@ -171,31 +122,99 @@ class Simulation:
             lib.cpBodySetVelocity(body, tuple(row[3:5]))
             lib.cpBodySetAngularVelocity(body, row[5])
 
+    def _add_body(self, body: Part, pose: Pose) -> Part:
+        self._parts.append((lib.cpBodyFree, body))
+        lib.cpBodySetPosition(body, pose[:2])
+        lib.cpBodySetAngle(body, pose[2])
+        lib.cpSpaceAddBody(self._space, body)
+        return body
 
-def add_walls(world: World) -> None:
-    """Add four static segments around the workspace."""
-    far = c.WORKSPACE_HALF + c.WALL_DISTANCE
-    corners = ((-far, far), (far, far), (far, -far), (-far, -far))
-    for start, end in zip(corners, corners[1:] + corners[:1], strict=True):
-        wall = lib.cpSegmentShapeNew(world.static, start, end, c.WALL_RADIUS)
-        world.shape(wall, c.WALL_FRICTION)
-
-
-def add_block(world: World, block: Block, dynamics: Dynamics, group: int) -> Part:
-    """Add one block with its surface drag; `group` is a collision group for it alone."""
-    moment = _block_moment(block.shape)
-    body = world.body(lib.cpBodyNew(c.BLOCK_MASS, moment), block.pose)
-    for outline, radius in block_shapes(block.shape):
-        if outline is None:
-            shape = lib.cpCircleShapeNew(body, radius, ORIGIN)
-            world.shape(shape, c.BLOCK_FRICTION, group)
+    def _add_shape(
+        self, body: Part, outline: Polygon, radius: float, friction: float, group: int
+    ) -> None:
+        """Add a polygon, a segment or a circle (0 points); those of one group do not collide."""
+        if len(outline) > 2:
+            shape = lib.cpPolyShapeNew(body, len(outline), outline, _NO_TRANSFORM, radius)
+        elif outline:
+            shape = lib.cpSegmentShapeNew(body, *outline, radius)
         else:
-            world.polygon(body, outline, radius, c.BLOCK_FRICTION, group)
-    pivot = lib.cpPivotJointNew2(world.static, body, ORIGIN, ORIGIN)
-    world.joint(pivot, dynamics.block_pivot_max_force, max_bias=0.0)
-    gear = lib.cpGearJointNew(world.static, body, 0.0, 1.0)
-    world.joint(gear, dynamics.block_gear_max_force, max_bias=0.0)
-    return body
+            shape = lib.cpCircleShapeNew(body, radius, ORIGIN)
+        self._parts.append((lib.cpShapeFree, shape))
+        lib.cpShapeSetFriction(shape, friction)
+        lib.cpShapeSetFilter(shape, (group, _ALL, _ALL))
+        lib.cpSpaceAddShape(self._space, shape)
+
+    def _add_joint(
+        self,
+        joint: Part,
+        max_force: float = math.inf,
+        max_bias: float = math.inf,
+        error_bias: float | None = None,
+    ) -> Part:
+        self._parts.append((lib.cpConstraintFree, joint))
+        lib.cpConstraintSetMaxForce(joint, max_force)
+        lib.cpConstraintSetMaxBias(joint, max_bias)
+        if error_bias is not None:
+            lib.cpConstraintSetErrorBias(joint, error_bias)
+        lib.cpSpaceAddConstraint(self._space, joint)
+        return joint
+
+    def _add_block(self, block: Block, group: int) -> Part:
+        """Add one block with its surface drag; `group` is a collision group for it alone."""
+        body = self._add_body(lib.cpBodyNew(c.BLOCK_MASS, _block_moment(block.shape)), block.pose)
+        for outline, radius in block_shapes(block.shape):
+            self._add_shape(body, outline, radius, c.BLOCK_FRICTION, group)
+        pivot = lib.cpPivotJointNew2(self._static, body, ORIGIN, ORIGIN)
+        self._add_joint(pivot, self.dynamics.block_pivot_max_force, max_bias=0.0)
+        gear = lib.cpGearJointNew(self._static, body, 0.0, 1.0)
+        self._add_joint(gear, self.dynamics.block_gear_max_force, max_bias=0.0)
+        return body
+
+    def _add_robot(self) -> tuple[list[Part], list[Part]]:
+        """Add the robot.
+
+        Returns:
+            Its body, both fingers, both eyes; and what `substeps.step_rows` needs: its body, its
+            control body, the gear joint between them, both fingers, their motors.
+        """
+        pose, dynamics = self.scene.robot, self.dynamics
+        moment = pymunk.moment_for_circle(c.ROBOT_MASS, 0, c.ROBOT_RADIUS)
+        body = self._add_body(lib.cpBodyNew(c.ROBOT_MASS, moment), pose)
+        control = self._add_body(lib.cpBodyNewKinematic(), pose)
+        pivot = lib.cpPivotJointNew2(control, body, ORIGIN, ORIGIN)
+        self._add_joint(pivot, dynamics.body_pivot_max_force, max_bias=0.0)
+        gear = lib.cpGearJointNew(control, body, 0.0, 1.0)
+        self._add_joint(gear, dynamics.body_gear_max_force, c.TURN_MAX_BIAS, error_bias=0.0)
+        moment = pymunk.moment_for_circle(c.EYE_MASS, 0, c.ROBOT_RADIUS)
+        eyes = [self._add_body(lib.cpBodyNew(c.EYE_MASS, moment), pose) for _ in c.SIDES]
+        for eye in eyes:
+            # The spring's max_force stays unlimited: a limit changes how the robot turns.
+            spring = 0.0, c.EYE_SPRING_STIFFNESS, c.EYE_SPRING_DAMPING
+            self._add_joint(lib.cpDampedRotarySpringNew(body, eye, *spring))
+        fingers, motors = [], []
+        for side in c.SIDES:
+            root = (side * c.FINGER_ROOT_X, c.FINGER_ROOT_Y)
+            start = finger_position(body, root, pose)
+            place = Pose(*start, pose.angle - side * c.FINGER_OPEN)
+            finger = self._add_body(lib.cpBodyNew(c.FINGER_MASS, _finger_moment(side)), place)
+            # A pin joint of zero length, as published; a pivot joint grips visibly differently.
+            self._add_joint(lib.cpPinJointNew(body, finger, root, ORIGIN), error_bias=0.0)
+            limits = (0.0, c.FINGER_OPEN) if side < 0 else (-c.FINGER_OPEN, 0.0)
+            self._add_joint(lib.cpRotaryLimitJointNew(body, finger, *limits), error_bias=0.0)
+            motor = lib.cpSimpleMotorNew(body, finger, 0.0)
+            motors.append(self._add_joint(motor, dynamics.finger_motor_max_force, max_bias=0.0))
+            fingers.append(finger)
+        self._add_shape(body, (), c.ROBOT_RADIUS, c.ROBOT_FRICTION, ROBOT_GROUP)
+        for finger, side in zip(fingers, c.SIDES, strict=True):
+            for polygon in finger_polygons(side):
+                self._add_shape(finger, polygon, 0.0, c.FINGER_FRICTION, ROBOT_GROUP)
+        return [body, *fingers, *eyes], [body, control, gear, *fingers, *motors]
+
+
+def _free(parts: list[tuple[Any, Part]], space: Part) -> None:
+    lib.cpSpaceFree(space)
+    for free_part, part in parts:
+        free_part(part)
 
 
 @cache
@@ -210,58 +229,13 @@ def _block_moment(shape: Shape) -> float:
 @cache
 def block_shapes(shape: Shape) -> list[Outline]:
     """The convex shapes of a block, in its body's frame."""
-    if shape == Shape.CIRCLE:
-        return [(None, c.BLOCK_SIZE)]
+    # Cached for more than speed: pymunk leaks some 2 kB in every decomposition.
     if shape == Shape.STAR:
-        return [(part, 0.0) for part in _star_parts()]
-    return [(block_outline(shape), c.SQUARE_MARGIN if shape == Shape.SQUARE else 0.0)]
-
-
-@cache
-def _star_parts() -> list[list[pymunk.Vec2d]]:
-    # Cached: pymunk leaks some 2 kB in every decomposition.
-    outline = list(block_outline(Shape.STAR))
-    return pymunk.autogeometry.convex_decomposition(outline + outline[:1], 0)
-
-
-def add_robot(world: World, pose: Pose, dynamics: Dynamics) -> tuple[list[Part], list[Part]]:
-    """Add the robot.
-
-    Returns:
-        Its body, both fingers, both eyes; and what `substeps.step_rows` needs: its body, its
-        control body, the gear joint between them, both fingers, their motors.
-    """
-    moment = pymunk.moment_for_circle(c.ROBOT_MASS, 0, c.ROBOT_RADIUS)
-    body = world.body(lib.cpBodyNew(c.ROBOT_MASS, moment), pose)
-    control = world.body(lib.cpBodyNewKinematic(), pose)
-    pivot = lib.cpPivotJointNew2(control, body, ORIGIN, ORIGIN)
-    world.joint(pivot, dynamics.body_pivot_max_force, max_bias=0.0)
-    gear = lib.cpGearJointNew(control, body, 0.0, 1.0)
-    world.joint(gear, dynamics.body_gear_max_force, c.TURN_MAX_BIAS, error_bias=0.0)
-    moment = pymunk.moment_for_circle(c.EYE_MASS, 0, c.ROBOT_RADIUS)
-    eyes = [world.body(lib.cpBodyNew(c.EYE_MASS, moment), pose) for _ in c.SIDES]
-    for eye in eyes:
-        # The spring's max_force stays unlimited: a limit changes how the robot turns.
-        spring = 0.0, c.EYE_SPRING_STIFFNESS, c.EYE_SPRING_DAMPING
-        world.joint(lib.cpDampedRotarySpringNew(body, eye, *spring))
-    fingers, motors = [], []
-    for side in c.SIDES:
-        root = (side * c.FINGER_ROOT_X, c.FINGER_ROOT_Y)
-        place = *finger_position(body, root, pose), pose.angle - side * c.FINGER_OPEN
-        finger = world.body(lib.cpBodyNew(c.FINGER_MASS, _finger_moment(side)), place)
-        # A pin joint of zero length, as published; a pivot joint grips visibly differently.
-        world.joint(lib.cpPinJointNew(body, finger, root, ORIGIN), error_bias=0.0)
-        limits = (0.0, c.FINGER_OPEN) if side < 0 else (-c.FINGER_OPEN, 0.0)
-        world.joint(lib.cpRotaryLimitJointNew(body, finger, *limits), error_bias=0.0)
-        motor = lib.cpSimpleMotorNew(body, finger, 0.0)
-        motors.append(world.joint(motor, dynamics.finger_motor_max_force, max_bias=0.0))
-        fingers.append(finger)
-    circle = lib.cpCircleShapeNew(body, c.ROBOT_RADIUS, ORIGIN)
-    world.shape(circle, c.ROBOT_FRICTION, ROBOT_GROUP)
-    for finger, side in zip(fingers, c.SIDES, strict=True):
-        for polygon in finger_polygons(side):
-            world.polygon(finger, polygon, 0.0, c.FINGER_FRICTION, ROBOT_GROUP)
-    return [body, *fingers, *eyes], [body, control, gear, *fingers, *motors]
+        outline = list(block_outline(shape))
+        parts = pymunk.autogeometry.convex_decomposition(outline + outline[:1], 0)
+        return [(part, 0.0) for part in parts]
+    radius = {Shape.CIRCLE: c.BLOCK_SIZE, Shape.SQUARE: c.SQUARE_MARGIN}.get(shape, 0.0)
+    return [(block_outline(shape), radius)]
 
 
 @cache
@@ -278,7 +252,7 @@ def _finger_moment(side: int) -> float:
 _MAX_POWER = 12
 
 
-def finger_position(body: Part, root: Point, pose: Pose) -> Point:
+def finger_position(body: Part, root: tuple[float, float], pose: Pose) -> tuple[float, float]:
     """The initial position of a finger: its root in the workspace, displaced by some 1e-15 units.
 
     `body` is the robot's, already at `pose`, `root` where the finger is attached, in its frame.
