@@ -25,7 +25,7 @@ from torch import Tensor
 from magical.errors import CheckpointError, InvalidProgramError, RunFolderError
 from magical.evaluation.policy import Actions, Mask
 from magical.files import parse_json
-from magical.observe.pixels import STACK
+from magical.observe import STACK
 from magical.scene import NOOP, ROBOT
 from magical_baselines.algorithms import bc
 from magical_baselines.algorithms.bc import BCConfig

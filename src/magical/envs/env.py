@@ -24,8 +24,7 @@ from magical.errors import (
 )
 from magical.files import convert
 from magical.messages import quoted
-from magical.observe import Observation, make_spec
-from magical.observe.spec import copy_arrays
+from magical.observe import Observation, copy_arrays, make_spec
 from magical.physics import Simulation
 from magical.plugins import is_plugin, load_plugin, plugins
 from magical.scene import FIRST_BLOCK, Dynamics, Poses, Scene, State
