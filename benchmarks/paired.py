@@ -48,15 +48,14 @@ class Tree:
         self._modules: dict[str, Any] = {}
         self.enter()
         sys.path.insert(0, str(source))
-        envs, physics, tasks, actions = (
-            import_module(f"magical.{room}")
-            for room in ("envs.env", "physics", "tasks", "scene.actions")
+        envs, physics, tasks, scene = (
+            import_module(f"magical.{room}") for room in ("envs.env", "physics", "tasks", "scene")
         )
         sys.path.pop(0)
 
         class Simulation(physics.Simulation):  # type: ignore[misc, name-defined]
             def step(self, action: int) -> Any:
-                super().step(actions.POINTS[action])
+                super().step(scene.to_continuous(action))
                 return [self.read()]
 
         class Restarted(envs.MagicalEnv):  # type: ignore[misc, name-defined]

@@ -16,7 +16,7 @@ import numpy as np
 
 from magical.envs.vector import MagicalVectorEnv
 from magical.physics.substeps import step_rows
-from magical.scene.actions import NUM_ACTIONS
+from magical.scene import NUM_ACTIONS
 
 ROUNDS = 100
 WARM_UP = 50  # steps until robots and blocks are in contact

@@ -15,7 +15,7 @@ import numpy as np
 from magical.envs import parse_env_id
 from magical.envs.env import MagicalEnv
 from magical.envs.vector import MagicalVectorEnv
-from magical.scene.actions import NUM_ACTIONS
+from magical.scene import NUM_ACTIONS
 
 TURN = 50  # steps of each environment in turn
 

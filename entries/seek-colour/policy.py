@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.scene.actions import Action, Longitudinal, Turn
+from magical.scene import Action, Longitudinal, Turn
 
 COLOURFUL = 25  # of 255: the difference between a region's strongest and weakest channel
 ROBOT_ROW, ROBOT_COLUMN = 0.85, 0.5  # where the egocentric view shows the robot

@@ -16,7 +16,7 @@ from magical.demos.generate import demonstrate
 from magical.errors import InvalidConfigError
 from magical.evaluation import evaluate
 from magical.runs import read_metrics
-from magical.scene.actions import Action, Turn
+from magical.scene import Action, Turn
 from magical.tasks import get_task, register_task, unregister_task
 from magical_baselines import load_policy, train
 from magical_goals import object_bc

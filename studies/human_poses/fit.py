@@ -13,8 +13,7 @@ from edges import EdgeFinder, Edges, Labels
 from numpy.typing import NDArray
 from outlines import SIZE, VIEW_WIDTH
 
-from magical.scene import Scene, Shape, View
-from magical.scene.poses import EYES, FIRST_BLOCK, ROBOT
+from magical.scene import EYES, FIRST_BLOCK, ROBOT, Scene, Shape, View
 
 PIXEL = VIEW_WIDTH / SIZE  # units
 MAX_STEP = 0.1  # units or radians per iteration

@@ -9,10 +9,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.scene import Block, Colour, Scene, Shape
-from magical.scene import constants as c
-from magical.scene.geometry import (
+from magical.scene import (
+    EYES,
+    FINGERS,
+    FIRST_BLOCK,
+    ROBOT,
+    Block,
+    Colour,
     Polygon,
+    Scene,
+    Shape,
     block_outline,
     finger_polygons,
     rectangle,
@@ -20,7 +26,7 @@ from magical.scene.geometry import (
     shift,
     star_polygon,
 )
-from magical.scene.poses import EYES, FINGERS, FIRST_BLOCK, ROBOT
+from magical.scene import constants as c
 
 SIZE = c.RAW_FRAME_SIZE  # pixels across a recorded frame
 VIEW_WIDTH = 2.04  # units: the width that both cameras show

@@ -24,10 +24,8 @@ from magical.demos.human import FullFrames, find_published, read_demonstration
 from magical.physics import Simulation
 from magical.processes import map_in_processes
 from magical.render import Renderer
-from magical.scene import Poses, Scene, View
-from magical.scene.actions import POINTS
+from magical.scene import EYES, FINGERS, FIRST_BLOCK, POINTS, ROBOT, Poses, Scene, View
 from magical.scene.constants import BLOCK_SIZE, CONTROL_RATE, RAW_FRAME_SIZE, STAR_OUTER_RADIUS
-from magical.scene.poses import EYES, FINGERS, FIRST_BLOCK, ROBOT
 
 LIMIT = 0.005  # share of wrong pixels in one frame, above which poses are not accepted
 TOLERANCE = 8  # grey levels: pixels that differ by more in any channel are wrong

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from magical.observe.pixels import CHANNELS
+from magical.observe import CHANNELS
 from magical.runs import PARSER_SOURCES
 from magical.scene import Colour, Shape
 from magical_goals.objects.control import ObjectTable, to_table

@@ -25,9 +25,8 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from magical.render import Renderer
-from magical.scene import COLOURS, SHAPES, Block, Pose, Poses, Region, Scene, View
+from magical.scene import COLOURS, EYES, FINGERS, SHAPES, Block, Pose, Poses, Region, Scene, View
 from magical.scene.constants import BLOCK_SIZE, FINGER_OPEN, FRAME_SIZE, SIDES, WORKSPACE_HALF
-from magical.scene.poses import EYES, FINGERS
 from magical_goals.objects.parser import (
     ABSENT,
     FAR,

@@ -21,8 +21,7 @@ import numpy as np
 import magical
 from magical.experts import Move, MovePlan, Planner, StateView, Strategy, register_planner
 from magical.experts.geometry import segment_distance
-from magical.scene import COLOURS, Block, Colour, Pose, Poses, Region, Scene, Shape
-from magical.scene.geometry import Point
+from magical.scene import COLOURS, Block, Colour, Point, Pose, Poses, Region, Scene, Shape
 from magical.tasks import Axis, Task
 from magical.tasks.scoring import positions
 

@@ -18,7 +18,7 @@ from magical.cli import main
 from magical.demos import DatasetWriter, Trajectory
 from magical.envs import parse_env_id
 from magical.physics import Simulation
-from magical.scene.actions import POINTS
+from magical.scene import POINTS
 from magical.tasks import get_task
 
 Run = Callable[..., tuple[int, dict[str, Any]]]

@@ -26,8 +26,7 @@ from magical.errors import (
     ResetNeededError,
     UnknownNameError,
 )
-from magical.scene import Block, Colour, Dynamics, Pose, Scene, Shape
-from magical.scene.actions import NUM_ACTIONS
+from magical.scene import NUM_ACTIONS, Block, Colour, Dynamics, Pose, Scene, Shape
 from magical.tasks import get_task, register_task, unregister_task
 
 MIXED = (

@@ -4,8 +4,7 @@ import numpy as np
 
 from magical.experts import StateView
 from magical.physics import Simulation
-from magical.scene import Block, Colour, Pose, Poses, Scene, Shape, State
-from magical.scene.geometry import Point
+from magical.scene import Block, Colour, Point, Pose, Poses, Scene, Shape, State
 
 CORNER = Pose(0.8, 0.8, 0.0)
 

@@ -14,9 +14,19 @@ from magical.evaluation import evaluate
 from magical.evaluation.policy import ExpertPolicy
 from magical.experts import Memory, expert_for, modules_of, rollout
 from magical.physics import Simulation
-from magical.scene import NOOP, NUM_ACTIONS, Block, Colour, Pose, Scene, Shape
-from magical.scene.actions import POINTS, Action, Gripper
-from magical.scene.poses import FIRST_BLOCK
+from magical.scene import (
+    FIRST_BLOCK,
+    NOOP,
+    NUM_ACTIONS,
+    POINTS,
+    Action,
+    Block,
+    Colour,
+    Gripper,
+    Pose,
+    Scene,
+    Shape,
+)
 from magical.tasks import TASKS, get_task, register_task, unregister_task
 from tests.experts import outside_task
 from tests.experts.scenes import scattered, state_of

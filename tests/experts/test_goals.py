@@ -26,9 +26,7 @@ from magical.experts.goals import _planners
 from magical.experts.goals.clustering import Layout
 from magical.experts.goals.make_line import is_line
 from magical.physics import Simulation
-from magical.scene import Pose, Poses, Scene
-from magical.scene.actions import POINTS
-from magical.scene.geometry import Point
+from magical.scene import POINTS, Point, Pose, Poses, Scene
 from magical.tasks import get_task, register_task, unregister_task
 from tests.experts.scenes import blocks_at, state_of, view_of
 

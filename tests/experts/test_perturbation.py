@@ -14,8 +14,7 @@ from magical.experts import (
 )
 from magical.experts.noise import MAX_PERTURBED_STEPS, RandomActions
 from magical.physics import Simulation
-from magical.scene import NOOP, NUM_ACTIONS
-from magical.scene.actions import POINTS, Action, Gripper
+from magical.scene import NOOP, NUM_ACTIONS, POINTS, Action, Gripper
 from magical.tasks import get_task
 from tests.experts.scenes import state_of
 

@@ -23,8 +23,7 @@ from magical.experts.grasp import (
 )
 from magical.experts.paths import is_clear, next_waypoint
 from magical.physics import Simulation
-from magical.scene import SHAPES, Block, Colour, Pose, Scene, Shape
-from magical.scene.actions import POINTS
+from magical.scene import POINTS, SHAPES, Block, Colour, Pose, Scene, Shape
 from tests.experts.scenes import blocks_at, view_of
 
 CLOSED = 9  # added to an action's id: the same with closed fingers

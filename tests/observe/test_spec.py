@@ -91,6 +91,6 @@ def test_impossible_specs(fields: dict[str, object]) -> None:
 
 def test_observations_of_other_distributions_are_named_by_module() -> None:
     task = get_task("MakeLine")
-    assert make_spec("magical.observe.presets:RAW", task) == make_spec(None, task)
+    assert make_spec("magical.observe:RAW", task) == make_spec(None, task)
     with pytest.raises(PluginError, match="no_such_module"):
         make_spec("no_such_module:SPEC", task)

@@ -8,8 +8,7 @@ import pytest
 from magical.errors import InvalidSceneError
 from magical.observe import StateSpec
 from magical.physics import Simulation
-from magical.scene import Block, Colour, Pose, Region, Scene, Shape
-from magical.scene.actions import POINTS
+from magical.scene import POINTS, Block, Colour, Pose, Region, Scene, Shape
 
 SCENE = Scene(
     Pose(0.1, 0.2, 0.3),

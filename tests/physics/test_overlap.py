@@ -9,9 +9,18 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from magical.physics.overlap import Kind, Solids
-from magical.scene import SHAPES, Colour, Pose, Region, Shape
+from magical.scene import (
+    SHAPES,
+    Colour,
+    Pose,
+    Region,
+    Shape,
+    block_outline,
+    rectangle,
+    robot_polygons,
+    to_workspace,
+)
 from magical.scene import constants as c
-from magical.scene.geometry import block_outline, rectangle, robot_polygons, to_workspace
 from magical.tasks.placement import OVERLAP_SLACK
 
 Piece = tuple[list[tuple[float, float]], float]  # a convex polygon or a point, and its radius

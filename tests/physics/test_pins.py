@@ -8,13 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from magical.physics import Simulation
-from magical.physics.simulation import finger_position
-from magical.physics.world import World
-from magical.scene import Pose, Poses
+from magical.physics import Simulation, finger_position
+from magical.scene import POINTS, ROBOT, Pose, Poses, Scene, rotate, to_workspace
 from magical.scene import constants as c
-from magical.scene.actions import POINTS
-from magical.scene.geometry import rotate, to_workspace
 from magical.tasks import TASKS
 
 # Robot pose and finger angles after the first step from each Demo scene, for each action. Written
@@ -28,8 +24,8 @@ ROOTS = [(side * c.FINGER_ROOT_X, c.FINGER_ROOT_Y) for side in c.SIDES]
 
 def displacement(root: tuple[float, float], pose: Pose) -> list[Fraction]:
     """By how much a finger is off its root in the workspace, exactly."""
-    world = World(c.SOLVER_ITERATIONS, c.COLLISION_SLOP)
-    body = world.body(1.0, 1.0, pose)
+    simulation = Simulation(Scene(pose))
+    body = simulation._bodies[ROBOT]
     pairs = zip(finger_position(body, root, pose), to_workspace(root, pose), strict=True)
     return [Fraction(position) - Fraction(anchor) for position, anchor in pairs]
 

@@ -5,9 +5,7 @@ import pytest
 from pymunk._chipmunk_cffi import lib
 
 from magical.physics import Simulation
-from magical.scene import Block, Colour, Dynamics, Pose, Poses, Scene, Shape
-from magical.scene.actions import POINTS
-from magical.scene.poses import FINGERS
+from magical.scene import FINGERS, POINTS, Block, Colour, Dynamics, Pose, Poses, Scene, Shape
 
 SCENE = Scene(
     Pose(0.3, -0.2, 0.7),

@@ -9,7 +9,7 @@ import pytest
 
 from magical.errors import MissingDependencyError
 from magical.physics import Simulation, substeps
-from magical.scene.actions import POINTS
+from magical.scene import POINTS
 from magical.tasks import TASKS
 
 STEPS = 200  # of every task; many start where robot and blocks touch walls or each other

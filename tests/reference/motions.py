@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from magical.grouping import group_by
 from magical.physics import Simulation
-from magical.scene.actions import NUM_ACTIONS, POINTS
-from magical.scene.scene import Block, Colour, Pose, Scene
+from magical.scene import NUM_ACTIONS, POINTS, Block, Colour, Pose, Scene
 from tests.reference.recordings import Comparison, expecting, read_json, write_json
 
 FIRST_STEPS = 3

@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.scene import constants as c
-from magical.scene.geometry import (
+from magical.scene import (
+    Poses,
+    Scene,
     finger_polygons,
     rectangle,
     regular_polygon,
@@ -21,8 +22,7 @@ from magical.scene.geometry import (
     shift,
     star_polygon,
 )
-from magical.scene.poses import Poses
-from magical.scene.scene import Scene
+from magical.scene import constants as c
 
 Array = NDArray[Any]
 GRID = 256  # vertices are rounded to this part of a sample

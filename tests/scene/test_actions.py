@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from magical.scene import NUM_ACTIONS, to_continuous, to_discrete
-from magical.scene.actions import ACTION_NAMES
+from magical.scene import ACTION_NAMES, NUM_ACTIONS, to_continuous, to_discrete
 
 
 def test_the_discrete_actions_are_points_and_back() -> None:

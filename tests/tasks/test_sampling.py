@@ -8,8 +8,18 @@ import numpy as np
 import pytest
 
 from magical.errors import InvalidSceneError, PlacementError, UnknownNameError
-from magical.scene import COLOURS, SHAPES, Block, Colour, Dynamics, Pose, Region, Scene, Shape
-from magical.scene.scene import DYNAMICS_RANGES
+from magical.scene import (
+    COLOURS,
+    DYNAMICS_RANGES,
+    SHAPES,
+    Block,
+    Colour,
+    Dynamics,
+    Pose,
+    Region,
+    Scene,
+    Shape,
+)
 from magical.tasks import TASKS, VARIANTS, Axis, Placement, Task, get_task, placement
 from magical.tasks.fix_colour import mismatched
 from magical.tasks.placement import sample_placement

@@ -30,8 +30,8 @@ from msgspec import Meta
 from magical.errors import InvalidConfigError, RunFolderError, UnknownNameError
 from magical.files import convert
 from magical.messages import quoted
+from magical.observe import GROUP as OBSERVATIONS
 from magical.observe import PRESETS, STATE, ObservationSpec, make_spec
-from magical.observe.presets import GROUP as OBSERVATIONS
 from magical.plugins import Registry, is_plugin, plugins, require_imported
 from magical.runs import CONFIG, DEMONSTRATIONS, LEARNED_FROM, NUM_DEMOS, is_run, read_json
 from magical.tasks import get_task

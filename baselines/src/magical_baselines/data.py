@@ -19,8 +19,7 @@ from magical.demos.trajectory import TrajectorySource
 from magical.envs.action_spec import Actions, spec_of
 from magical.errors import DemonstrationsError, TrajectoryError
 from magical.files import sha256_sum
-from magical.observe import ObservationSpec
-from magical.observe.spec import stack_indices
+from magical.observe import ObservationSpec, stack_indices
 from magical.scene import NOOP
 from magical_baselines.augmentation.augment import augment
 from magical_baselines.augmentation.names import Augmentations

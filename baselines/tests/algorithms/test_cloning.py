@@ -21,8 +21,7 @@ from magical.evaluation import evaluate
 from magical.evaluation.rollouts import play
 from magical.observe import PRESETS
 from magical.physics import Simulation
-from magical.scene import NOOP
-from magical.scene.actions import POINTS, to_continuous
+from magical.scene import NOOP, POINTS, to_continuous
 from magical.tasks import get_task
 from magical_baselines import NetworkPolicy, find_algorithm, load_policy, train
 from magical_baselines.algorithms import act, diffusion, transformer_bc

@@ -16,8 +16,7 @@ from magical.errors import DatasetError
 from magical.experts import Memory, expert_for, note_other_action, strategy_seed
 from magical.physics import Simulation
 from magical.runs import read_metrics
-from magical.scene import Poses, State
-from magical.scene.actions import POINTS
+from magical.scene import POINTS, Poses, State
 from magical_baselines import train
 from magical_baselines.algorithms.dagger import AGGREGATE, DAggerConfig, collect_labelled
 

@@ -18,9 +18,9 @@ from torch.nn import functional
 from torch.optim import Optimizer
 
 from magical.errors import InvalidConfigError
-from magical.observe.pixels import CHANNELS, STACK
+from magical.observe import CHANNELS, STACK
 from magical.runs import BENCHMARK_PRIOR, PARSER_SOURCES
-from magical.scene.actions import MIRRORED_ACTIONS
+from magical.scene import MIRRORED_ACTIONS
 from magical.tasks import get_task
 from magical_baselines.compute import cpu_threads
 from magical_baselines.config import Algorithm, PositiveFloat, PositiveInt, SupervisedConfig, option

@@ -25,9 +25,8 @@ from torch import Tensor
 from magical.errors import CheckpointError, InvalidProgramError, RunFolderError
 from magical.evaluation.policy import Actions, Mask
 from magical.files import parse_json
-from magical.observe.pixels import STACK
-from magical.scene import NOOP
-from magical.scene.poses import ROBOT
+from magical.observe import STACK
+from magical.scene import NOOP, ROBOT
 from magical_baselines.algorithms import bc
 from magical_baselines.algorithms.bc import BCConfig
 from magical_baselines.augmentation.augment import to_unit

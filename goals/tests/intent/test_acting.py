@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from magical.scene import Block, Colour, Pose, Poses, Region, Scene, Shape
-from magical.scene.poses import FIRST_BLOCK
+from magical.scene import FIRST_BLOCK, Block, Colour, Pose, Poses, Region, Scene, Shape
 from magical.tasks import TASKS
 from magical_goals.intent.acting import Intention
 from magical_goals.intent.posterior import Belief, Explanation

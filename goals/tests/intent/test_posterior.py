@@ -8,8 +8,7 @@ import pytest
 
 from magical.demos import Actor
 from magical.demos.generate import demonstrate
-from magical.scene import Poses
-from magical.scene.poses import FIRST_BLOCK
+from magical.scene import FIRST_BLOCK, Poses
 from magical.tasks import TASKS
 from magical_goals.intent import posterior
 from magical_goals.intent.meanings import Language

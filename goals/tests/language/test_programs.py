@@ -9,9 +9,8 @@ import pytest
 from magical.envs.env import MagicalEnv
 from magical.errors import InvalidProgramError, NoExpertError, UnknownNameError
 from magical.experts import rollout
-from magical.scene import Block, Colour, Pose, Poses, Region, Scene, Shape
+from magical.scene import FIRST_BLOCK, ROBOT, Block, Colour, Pose, Poses, Region, Scene, Shape
 from magical.scene.constants import BLOCK_SIZE, ROBOT_RADIUS
-from magical.scene.poses import FIRST_BLOCK, ROBOT
 from magical.tasks import TASKS
 from magical_goals.language import VOCABULARY, Goal, parse, problem, progress
 from magical_goals.language.expressions import Place, Selection

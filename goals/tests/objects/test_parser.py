@@ -6,10 +6,22 @@ import numpy as np
 import pytest
 
 from magical.render import Renderer
-from magical.scene import Poses, Scene, View
+from magical.scene import (
+    COLOURS,
+    FINGERS,
+    FIRST_BLOCK,
+    ROBOT,
+    SHAPES,
+    Block,
+    Colour,
+    Pose,
+    Poses,
+    Region,
+    Scene,
+    Shape,
+    View,
+)
 from magical.scene.constants import FINGER_OPEN, SQUARE_SIDE
-from magical.scene.poses import FINGERS, FIRST_BLOCK, ROBOT
-from magical.scene.scene import COLOURS, SHAPES, Block, Colour, Pose, Region, Shape
 from magical.tasks import TASKS, get_task
 from magical_goals.objects.parser import parse_frames
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from magical.demos.generate import demonstrate
-from magical.scene.actions import Action, Longitudinal, to_continuous
+from magical.scene import Action, Longitudinal, to_continuous
 from magical.scene.constants import BLOCK_SIZE, ROBOT_RADIUS
 from magical_goals.objects.data import ParsedDemonstration, parse_demonstrations
 from magical_goals.objects.parser import ParsedFrames, parse_frames

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from goals.tests.planning.test_motion import demonstrations
-from magical.scene.actions import ACTIONS, Gripper, Longitudinal
+from magical.scene import ACTIONS, Gripper, Longitudinal
 from magical_goals.planning.motion import fit_motion
 from magical_goals.planning.planner import Planner, Situation
 

@@ -10,8 +10,7 @@ from magical.errors import PolicyError, RunFolderError
 from magical.evaluation import load_policy
 from magical.evaluation.policy import observation_for
 from magical.experts import EpisodeExpert, expert_for, strategy_seed
-from magical.observe import make_spec
-from magical.observe.spec import map_arrays
+from magical.observe import make_spec, map_arrays
 from magical.runs import is_run
 from magical.scene import NUM_ACTIONS
 from magical_play.episodes import PlayedEpisode

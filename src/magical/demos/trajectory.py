@@ -20,12 +20,10 @@ from magical.envs.action_spec import (
 )
 from magical.envs.ids import EnvId, parse_env_id
 from magical.errors import InvalidActionError, TrajectoryError
-from magical.observe import Observation, make_spec
-from magical.observe.pixels import copy_pixels
+from magical.observe import Observation, copy_pixels, make_spec
 from magical.physics import Simulation
-from magical.scene import Dynamics, Poses, Scene, View
+from magical.scene import FIRST_BLOCK, Dynamics, Poses, Scene, View
 from magical.scene.constants import FRAME_SIZE, RAW_FRAME_SIZE
-from magical.scene.poses import FIRST_BLOCK
 from magical.tasks import Task
 
 VIEWS = tuple(str(view) for view in View)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from magical.errors import InvalidActionError, UnknownNameError
 from magical.messages import quoted
-from magical.scene.actions import NUM_ACTIONS, PARTS, POINTS, to_continuous, to_discrete
+from magical.scene import NUM_ACTIONS, PARTS, POINTS, to_continuous, to_discrete
 
 ActionSpaceName = Literal["discrete", "continuous"]
 Actions = NDArray[np.int64 | np.float64]  # (N,) int64, or (N, 3) float64

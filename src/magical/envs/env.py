@@ -24,13 +24,11 @@ from magical.errors import (
 )
 from magical.files import convert
 from magical.messages import quoted
-from magical.observe import Observation, make_spec
-from magical.observe.spec import copy_arrays
+from magical.observe import Observation, copy_arrays, make_spec
 from magical.physics import Simulation
 from magical.plugins import is_plugin, load_plugin, plugins
+from magical.scene import FIRST_BLOCK, Dynamics, Poses, Scene, State
 from magical.scene.constants import CONTROL_RATE, MAX_COORDINATE
-from magical.scene.poses import FIRST_BLOCK, Poses, State
-from magical.scene.scene import Dynamics, Scene
 from magical.tasks import MAX_HORIZON, Horizon, Task, get_task, parse_horizon
 from magical.tasks.scoring import SUCCESS
 

@@ -13,7 +13,7 @@ from gymnasium.envs.registration import EnvSpec, WrapperSpec
 
 from magical.errors import UnknownNameError
 from magical.messages import quoted
-from magical.observe.presets import PRESETS
+from magical.observe import PRESETS
 from magical.plugins import plugins
 from magical.tasks import TASKS, Task, get_task, importable_tasks, possible_variants
 from magical.tasks.registry import GROUP

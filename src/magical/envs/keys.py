@@ -6,7 +6,7 @@ A person steers with five controls: forward, back, left, right and grip.
 from collections.abc import Collection
 from enum import StrEnum
 
-from magical.scene.actions import ACTION_NAMES
+from magical.scene import ACTION_NAMES
 
 
 class Control(StrEnum):

@@ -21,10 +21,9 @@ from magical.errors import (
     ResetNeededError,
 )
 from magical.messages import quoted
-from magical.observe import Observation
-from magical.observe.spec import copy_arrays, map_arrays, select
+from magical.observe import Observation, copy_arrays, map_arrays, select
 from magical.processes import checked_workers
-from magical.scene.poses import FIRST_BLOCK, State
+from magical.scene import FIRST_BLOCK, State
 from magical.tasks.scoring import SUCCESS
 
 Bools = NDArray[np.bool_]

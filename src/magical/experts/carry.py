@@ -18,10 +18,8 @@ from magical.experts import geometry as g
 from magical.experts.geometry import Floats, Ints
 from magical.experts.paths import next_waypoint
 from magical.experts.state_view import StateView
-from magical.scene import NUM_ACTIONS
-from magical.scene.actions import Action, Gripper, Longitudinal, Turn
+from magical.scene import NUM_ACTIONS, Action, Gripper, Longitudinal, Point, Turn, lengths
 from magical.scene.constants import CONTROL_RATE
-from magical.scene.geometry import Point, lengths
 
 GRIP_STEPS = 2  # control steps of closing before a block is carried; measured
 GRIPPED_OPENING = 0.33  # rad: smaller openings already hold a block; measured

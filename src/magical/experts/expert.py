@@ -19,9 +19,7 @@ from magical.experts.grasp import (
 )
 from magical.experts.planning import Move, MovePlan, Planner, Strategy
 from magical.experts.state_view import StateView
-from magical.scene import NOOP, State
-from magical.scene.actions import ACTIONS, Action, Gripper
-from magical.scene.geometry import Point
+from magical.scene import ACTIONS, NOOP, Action, Gripper, Point, State
 from magical.tasks import Task, get_task
 
 REVIEW_STEPS = 8  # control steps between reviews of a side, or of an empty plan; tuned

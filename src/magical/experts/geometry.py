@@ -9,6 +9,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from magical.scene import Point, lengths
 from magical.scene.constants import (
     BLOCK_SIZE,
     CONTROL_RATE,
@@ -18,7 +19,6 @@ from magical.scene.constants import (
     TURN_MAX_BIAS,
     WORKSPACE_HALF,
 )
-from magical.scene.geometry import Point, lengths
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]

@@ -20,10 +20,8 @@ from magical.experts.geometry import Floats
 from magical.experts.paths import is_clear, next_waypoint
 from magical.experts.planning import GRASP_SIDES
 from magical.experts.state_view import StateView
-from magical.scene import NOOP
-from magical.scene.actions import Action, Gripper, Longitudinal, Turn
+from magical.scene import NOOP, Action, Gripper, Longitudinal, Point, Turn, lengths
 from magical.scene.constants import BLOCK_SIZE
-from magical.scene.geometry import Point, lengths
 
 # Where the fingers catch a block, and what they hit around it.
 REACH = 0.42  # units ahead up to which closing fingers catch a block; measured

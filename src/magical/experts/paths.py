@@ -13,7 +13,7 @@ import numpy as np
 
 from magical.experts import geometry as g
 from magical.experts.geometry import Floats
-from magical.scene.geometry import Point, lengths
+from magical.scene import Point, lengths
 
 SPACING = 0.1  # units between grid points: one control step of driving; tuned
 OBSTACLE_COST = 15.0  # extra cost, per unit travelled, at an obstacle's centre; swept

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from magical.experts.state_view import StateView
-from magical.scene import Region
-from magical.scene.geometry import Point
+from magical.scene import Point, Region
 
 GRASP_SIDES = 16  # evenly spaced bearings from which a grasp is considered
 MAX_SIDE_COST = 4.0  # control steps; tuned

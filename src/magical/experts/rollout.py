@@ -11,8 +11,7 @@ from magical.experts.expert import EpisodeExpert, expert_for, strategy_seed
 from magical.experts.goals import get_planner
 from magical.experts.noise import RandomActions
 from magical.physics import Simulation
-from magical.scene import Dynamics, Poses, Scene, State
-from magical.scene.actions import POINTS
+from magical.scene import POINTS, Dynamics, Poses, Scene, State
 from magical.tasks import get_task
 from magical.tasks.registry import defining_modules
 

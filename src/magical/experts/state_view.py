@@ -7,9 +7,7 @@ Python arithmetic is faster than numpy for a dozen bodies.
 import math
 from dataclasses import dataclass
 
-from magical.scene import Scene, State
-from magical.scene.geometry import Point
-from magical.scene.poses import FINGERS, FIRST_BLOCK, ROBOT
+from magical.scene import FINGERS, FIRST_BLOCK, ROBOT, Point, Scene, State
 
 # s: a released block glides on by about its velocity times this. Measured: 0.08 to 0.16 s for
 # carried blocks of all shapes, the lower values at the speeds of a block about to be released.

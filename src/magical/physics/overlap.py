@@ -7,10 +7,9 @@ from collections.abc import Iterator
 
 import pymunk
 
-from magical.physics.simulation import block_shapes
+from magical.physics import Outline, block_shapes
+from magical.scene import Pose, Region, Shape, rectangle, robot_polygons
 from magical.scene import constants as c
-from magical.scene.geometry import rectangle, robot_polygons
-from magical.scene.scene import Pose, Region, Shape
 
 Kind = Shape | Region | None  # a block, a goal region, the robot with open fingers
 AWAY = Pose(1e4, 1e4, 0.0)  # where solids are before they are placed
@@ -27,21 +26,22 @@ class Solid:
         self.kind, self.pose, self.beyond_wall = kind, AWAY, 0.0
         self.body = pymunk.Body(body_type=pymunk.Body.STATIC)
         self.body.position = AWAY[:2]
-        self.shapes: list[pymunk.Shape]
         self.core = c.BLOCK_SIZE / 2  # the radius of a disc inside it
+        outlines: list[Outline] = [
+            ((), c.ROBOT_RADIUS),
+            *((polygon, 0.0) for polygon in robot_polygons()),
+        ]
         if isinstance(kind, Region):
             self.core = min(kind.width, kind.height) / 2
-            self.shapes = [pymunk.Poly(self.body, rectangle(kind.width, kind.height))]
-        elif kind is None:
-            fingers = [pymunk.Poly(self.body, polygon) for polygon in robot_polygons()]
-            self.shapes = [pymunk.Circle(self.body, c.ROBOT_RADIUS), *fingers]
-        else:
-            self.shapes = [
-                pymunk.Poly(self.body, outline, None, radius)
-                if outline
-                else pymunk.Circle(self.body, radius)
-                for outline, radius in block_shapes(kind)
-            ]
+            outlines = [(rectangle(kind.width, kind.height), 0.0)]
+        elif kind is not None:
+            outlines = block_shapes(kind)
+        self.shapes = [
+            pymunk.Poly(self.body, outline, None, radius)
+            if outline
+            else pymunk.Circle(self.body, radius)
+            for outline, radius in outlines
+        ]
         for shape in self.shapes:
             shape.filter = pymunk.ShapeFilter(group=group)  # does not overlap itself
 

@@ -67,11 +67,7 @@ step_space, set_angle, set_motor_rate, set_max_bias = c_functions()
 @inlined
 def motor_rate(error: float) -> float:
     """A finger motor's rate (rad / s) for a finger `error` radians from its target."""
-    rate = c.FINGER_GAIN * error
-    if rate >= c.FINGER_MAX_RATE:
-        return c.FINGER_MAX_RATE
-    if rate <= -c.FINGER_MAX_RATE:
-        return -c.FINGER_MAX_RATE
+    rate = min(max(c.FINGER_GAIN * error, -c.FINGER_MAX_RATE), c.FINGER_MAX_RATE)
     return rate if abs(rate) >= c.FINGER_DEAD_RATE else 0.0
 
 

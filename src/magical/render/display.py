@@ -11,10 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical.render.palette import GREY, GREY_OUTLINE, OUTSIDE, PUPIL, RGB, SHADES, WHITE, lanes
-from magical.scene import constants as c
-from magical.scene.geometry import (
+from magical.scene import (
+    EYES,
+    FINGERS,
+    FIRST_BLOCK,
+    ROBOT,
     Point,
     Polygon,
+    Scene,
+    Shape,
     block_outline,
     finger_polygons,
     rectangle,
@@ -22,8 +27,7 @@ from magical.scene.geometry import (
     shift,
     star_polygon,
 )
-from magical.scene.poses import EYES, FINGERS, FIRST_BLOCK, ROBOT
-from magical.scene.scene import Scene, Shape
+from magical.scene import constants as c
 
 BLOCK_INSET = 0.015  # units: width of a block's outline
 ROBOT_INSET = 0.01  # units: width of the robot's outline

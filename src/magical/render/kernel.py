@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 from magical.compiled import bit_count, inlined, kernel
 from magical.render.palette import OUTSIDE, lanes
+from magical.scene import FIRST_BLOCK
 from magical.scene.constants import MAX_BLOCKS, RAW_FRAME_SIZE
-from magical.scene.poses import FIRST_BLOCK
 
 VIEW_WIDTH = 2.04  # units: the width that both cameras show (docs/specification.md, section 6)
 ROBOT_HEIGHT = 0.15  # of the frame: the robot's height above its lower edge, in the egocentric view

@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from magical.scene.scene import Colour
+from magical.scene import Colour
 
 RGB = tuple[int, int, int]
 

@@ -11,9 +11,8 @@ from magical.errors import RenderError
 from magical.messages import quoted
 from magical.render.display import display_list
 from magical.render.kernel import FURTHEST, Pixels, frame_kernel, push, scratch, write
+from magical.scene import FIRST_BLOCK, Pose, Poses, Scene, View, chosen_samples, parse_word
 from magical.scene import constants as c
-from magical.scene.poses import FIRST_BLOCK, Poses
-from magical.scene.scene import Pose, Scene, View, chosen_samples, parse_word
 
 CHANNELS = 3  # of a frame: red, green, blue
 STACKED = 12  # channels of the stacks that `push` shifts

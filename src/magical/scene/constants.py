@@ -64,9 +64,8 @@ STAR_INNER_RADIUS = 0.5 * STAR_OUTER_RADIUS  # units
 RAW_FRAME_SIZE = 384  # pixels: as rendered, one sample per pixel
 FRAME_SIZE = 96  # pixels: after averaging 4 x 4
 SAMPLES = (1, 2, 4)  # numbers of samples across a pixel that can be rendered
-MAX_FRAME_SIZE = 4096  # pixels: the largest that can be requested, some 50 MB per frame
-# Samples across a frame, so at most 1024 pixels of 4 x 4 samples: a frame is rendered in up to
-# 134 MB for the workspace and for each goal region.
+# Samples across a frame: at most 4096 pixels (a frame of 50 MB), or 1024 of 4 x 4 samples. A frame
+# is rendered in up to 134 MB for the workspace and for each goal region.
 MAX_SAMPLES_ACROSS = 4096
 
 # Limits for a scene. No more blocks fit into the workspace; beyond these, the solver and the

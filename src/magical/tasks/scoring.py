@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical.errors import InvalidSceneError
-from magical.scene import Poses, Region, Scene
-from magical.scene.geometry import Point
+from magical.scene import Point, Poses, Region, Scene
 
 SUCCESS = 0.5  # an episode is a success above this score, halfway through every graded rule
 INLIER_DISTANCE = 0.18  # units from a line, d_i (appendix A.2.4)

@@ -12,7 +12,7 @@ from torch.optim import AdamW, Optimizer
 
 from magical.errors import InvalidConfigError
 from magical.evaluation.policy import Actions, Mask
-from magical.scene.actions import NUM_ACTIONS, PARTS
+from magical.scene import NUM_ACTIONS, PARTS
 from magical_baselines.config import (
     NetworkConfig,
     PositiveFloat,

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.scene.actions import Action, Longitudinal, Turn
+from magical.scene import Action, Longitudinal, Turn
 
 CIRCLE = Action(Longitudinal.FORWARD, Turn.LEFT).id
 

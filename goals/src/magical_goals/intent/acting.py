@@ -11,9 +11,7 @@ import math
 import numpy as np
 
 from magical.experts.geometry import CONTACT_DISTANCE
-from magical.scene import Poses, Scene
-from magical.scene.geometry import Point, to_workspace
-from magical.scene.poses import FIRST_BLOCK, ROBOT
+from magical.scene import FIRST_BLOCK, ROBOT, Point, Poses, Scene, to_workspace
 from magical.tasks import get_task
 from magical_goals.intent.meanings import Chosen, replace_selections
 from magical_goals.intent.posterior import MOVE_COST, Belief

@@ -10,8 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from magical.scene import Poses
-from magical.scene.poses import FIRST_BLOCK, ROBOT
+from magical.scene import FIRST_BLOCK, ROBOT, Poses
 from magical_goals.intent.acting import Intention, row_of
 from magical_goals.intent.posterior import Belief, parsed_poses, parsed_scene
 from magical_goals.language.expressions import Floats

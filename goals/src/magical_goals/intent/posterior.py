@@ -19,10 +19,19 @@ import numpy as np
 from scipy.special import expit
 from scipy.stats import qmc
 
-from magical.scene import COLOURS, SHAPES, Block, Pose, Poses, Region, Scene
+from magical.scene import (
+    COLOURS,
+    FIRST_BLOCK,
+    ROBOT,
+    SHAPES,
+    Block,
+    Point,
+    Pose,
+    Poses,
+    Region,
+    Scene,
+)
 from magical.scene.constants import WORKSPACE_HALF
-from magical.scene.geometry import Point
-from magical.scene.poses import FIRST_BLOCK, ROBOT
 from magical_goals.intent.meanings import Language, Meaning
 from magical_goals.language.expressions import Floats
 from magical_goals.language.goals import Goal, States

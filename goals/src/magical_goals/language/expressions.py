@@ -17,10 +17,8 @@ from numpy.typing import NDArray
 
 from magical.errors import InvalidProgramError, UnknownNameError
 from magical.messages import quoted
-from magical.scene import Block, Colour, Region, Scene, Shape
+from magical.scene import Block, Colour, Point, Region, Scene, Shape, lengths, parse_word
 from magical.scene.constants import WORKSPACE_HALF
-from magical.scene.geometry import Point, lengths
-from magical.scene.scene import parse_word
 from magical.tasks.move_to_corner import FULL_SCORE, NO_SCORE
 from magical.tasks.scoring import NEIGHBOUR_DISTANCE
 

@@ -14,10 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical.grouping import group_by
-from magical.scene import Poses, Scene
+from magical.scene import FIRST_BLOCK, ROBOT, Point, Poses, Scene, lengths, to_workspace
 from magical.scene.constants import BLOCK_SIZE, ROBOT_RADIUS
-from magical.scene.geometry import Point, lengths, to_workspace
-from magical.scene.poses import FIRST_BLOCK, ROBOT
 from magical.tasks.clustering import NO_SCORE
 from magical.tasks.scoring import (
     INLIER_DISTANCE,

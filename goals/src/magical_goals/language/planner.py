@@ -12,9 +12,7 @@ from magical.experts.goals.make_line import plan_line
 from magical.experts.goals.regions import moves_in, moves_out, place_on_grid
 from magical.experts.planning import Move, MovePlan, Planner, Strategy
 from magical.experts.state_view import StateView
-from magical.scene import Poses
-from magical.scene.geometry import Point
-from magical.scene.poses import FIRST_BLOCK
+from magical.scene import FIRST_BLOCK, Point, Poses
 from magical_goals.language import expressions as e
 from magical_goals.language import goals as g
 from magical_goals.language.expressions import Place, value_of

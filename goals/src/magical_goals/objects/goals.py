@@ -23,7 +23,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from magical.scene.scene import COLOURS, SHAPES
+from magical.scene import COLOURS, SHAPES
 from magical_goals.objects.control import ROBOT_TARGET, ObjectTable
 
 UNKNOWN = 9.0  # the value of a relation to something that does not exist

@@ -23,8 +23,8 @@ from magical.errors import PluginError
 from magical.plugins import load_reference
 from magical.render.kernel import VIEW_WIDTH
 from magical.render.palette import GREY, RGB, SHADES, WHITE
+from magical.scene import COLOURS
 from magical.scene.constants import FINGER_ROOT_X, FINGER_ROOT_Y, FRAME_SIZE, ROBOT_RADIUS, SIDES
-from magical.scene.scene import COLOURS
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

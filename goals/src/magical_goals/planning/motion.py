@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from magical.experts.geometry import wrap_angle
-from magical.scene.actions import to_continuous
+from magical.scene import to_continuous
 from magical_goals.objects.control import GRIP
 from magical_goals.objects.data import ParsedDemonstration
 

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from magical.compiled import kernel
 from magical.experts.geometry import CONTACT_DISTANCE, ROBOT_LIMIT, excess, wrap_angle
-from magical.scene import NOOP
-from magical.scene.actions import ACTIONS, Action, Gripper, to_continuous
+from magical.scene import ACTIONS, NOOP, Action, Gripper, to_continuous
 from magical.scene.constants import BLOCK_SIZE
 from magical_goals.objects.control import ROBOT_TARGET
 from magical_goals.planning.motion import Floats, Motion, from_robot, robot_steps, to_robot

@@ -18,7 +18,7 @@ import numpy as np
 from lerobot_env_magical.observation import STATE_SIZE, VIEWS, robot_states
 from magical.demos import Dataset, Frames, Trajectory
 from magical.errors import DatasetError
-from magical.scene.actions import PARTS
+from magical.scene import PARTS
 from magical.scene.constants import CONTROL_RATE, FRAME_SIZE
 
 CAMERAS = {view: f"observation.images.{view}" for view in VIEWS}

@@ -9,10 +9,8 @@ from gymnasium.vector.utils import create_empty_array
 from numpy.typing import ArrayLike, NDArray
 
 from magical.errors import ObservationError
-from magical.observe import ObservationSpec, PixelSpec
-from magical.observe.spec import EpisodeSource, select
-from magical.scene.poses import FINGERS, ROBOT
-from magical.scene.scene import Scene, View
+from magical.observe import EpisodeSource, ObservationSpec, PixelSpec, select
+from magical.scene import FINGERS, ROBOT, Scene, View
 
 VIEWS = (View.ALLO, View.EGO)
 ROBOT_STATE = "agent_pos"  # the key

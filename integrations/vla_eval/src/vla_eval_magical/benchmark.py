@@ -14,7 +14,7 @@ from magical.envs import EnvId, env_spec, parse_env_id
 from magical.envs.seeds import evaluation_seed
 from magical.evaluation import environments
 from magical.observe import PixelSpec
-from magical.scene.scene import View
+from magical.scene import View
 
 VIEWS = (View.ALLO, View.EGO)
 ACTION = DimSpec(

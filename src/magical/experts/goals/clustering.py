@@ -18,8 +18,7 @@ from magical.experts.goals.regions import DISTANCE_COST, MOVE_COST, place_costs
 from magical.experts.grasp import Grasps, make_mutual_grasps
 from magical.experts.planning import Move, MovePlan, Planner, Strategy
 from magical.experts.state_view import StateView
-from magical.scene import Block
-from magical.scene.geometry import lengths
+from magical.scene import Block, lengths
 from magical.tasks.scoring import centroid_distances
 
 # When blocks count as clustered, and which anchors are considered.

@@ -15,7 +15,7 @@ from magical.experts.geometry import BLOCK_SPACING, ROBOT_LIMIT, WORKING_DISTANC
 from magical.experts.goals.regions import DISTANCE_COST, MOVE_COST
 from magical.experts.planning import Move, MovePlan, Strategy
 from magical.experts.state_view import StateView
-from magical.scene.geometry import Point
+from magical.scene import Point
 from magical.tasks.scoring import INLIER_DISTANCE, NEIGHBOUR_DISTANCE
 
 Places = tuple[Point, ...]  # one for each block

@@ -12,9 +12,8 @@ from magical.experts import geometry as g
 from magical.experts.geometry import Floats
 from magical.experts.planning import Move, MovePlan, Strategy
 from magical.experts.state_view import StateView
-from magical.scene import Colour, Region
+from magical.scene import Colour, Point, Region, lengths, robot_polygons
 from magical.scene.constants import BLOCK_SIZE, WORKSPACE_HALF
-from magical.scene.geometry import Point, lengths, robot_polygons
 from magical.tasks.find_dupe import alike
 from magical.tasks.fix_colour import mismatched
 from magical.tasks.match_regions import targets
