@@ -90,10 +90,10 @@ def test_out_holds_an_entry_and_keeps_another_policy_s(
         (["noop", *REGION, "--horizon", "published"], 2, "one horizon only: MoveToRegion (40 step"),
         (["noop", *REGION, "--training-seed", "3"], 2, "--training-seed needs --out"),
         (["{own}:wrong", "--observation", "LoRes4E"], 2, "states its own observation, LoRes4A"),
-        (["{own}:wrong", *REGION, "--out", "{own}"], 1, "expected a folder, found a file"),
+        (["{own}:wrong", *REGION, "--out", "{own}"], 1, "File exists"),
         (["{own}:wrong", *DEMO], 1, "expected integers from 0 to 17 of shape (2,), found <array"),
         (["{own}:two", *DEMO], 1, "own.py:two: expected an object with act(observations, env_ids"),
-        (["{own}:wrong", "--learned-from", "magic"], 2, "'magic' is not a source"),
+        (["{own}:wrong", "--out", "{own}-entry", "--learned-from", "magic"], 2, "'magic' is not"),
         # What would not rank is refused before anything runs.
         ([*RANKED, "--rollouts", "3"], 2, "3 rollouts of each environment"),
         ([*RANKED, "--horizon", "9"], 2, "horizon 9, expected appendix"),

@@ -138,7 +138,7 @@ def other_actions(**attributes: Any) -> Any:
     ("given", "error", "message"),
     [
         ({"horizon": "long"}, InvalidConfigError, "expected appendix, published or a number"),
-        ({"horizon": "published"}, UnknownNameError, "ClusterShape.*found.*MoveToRegion"),
+        ({"horizon": "published"}, UnknownNameError, "one horizon only: MoveToRegion"),
         ({"policy": "noop", "observation": "HiRes"}, UnknownNameError, "LoRes4E"),
         (
             {"policy": Watching(observation="LoRes4A"), "observation": "LoRes4E"},
