@@ -46,18 +46,14 @@ class BatchSizes(RandomPolicy):
     ("policy", "ids", "rollouts", "rounds"),
     [(BatchSizes(), IDS, 23, (12, 11)), (load_policy("expert"), IDS[:1], 12, (10, 2))],
 )
-def test_rounds_are_the_batches_of_the_evaluation(
-    policy: Policy, ids: list[EnvId], rollouts: int, rounds: tuple[int, int]
-) -> None:
+def test_rounds_are_batches(policy: Policy, ids: Any, rollouts: int, rounds: Any) -> None:
     evaluation = Evaluation.of(ids, rollouts=rollouts, horizon=12)
     scores = roll_out(policy, evaluation, workers=0)
     entry = Entry.of(policy, evaluation, method="m", scores=scores, record=Record())
-    sizes = set()
-    for seed in range(9):
-        found = verify(entry, policy, rng=np.random.default_rng(seed), workers=0)
-        assert found.again == found.recorded
-        sizes.add(len(found.again))
-    assert sizes == {count * len(ids) for count in rounds}
+    rngs = map(np.random.default_rng, range(9))
+    found = [verify(entry, policy, rng=rng, workers=0) for rng in rngs]
+    assert all(each.again == each.recorded for each in found)
+    assert {len(each.again) for each in found} == {count * len(ids) for count in rounds}
 
 
 @pytest.fixture(scope="module")
