@@ -16,6 +16,7 @@ from magical.evaluation import (
     Entry,
     Evaluation,
     FunctionPolicy,
+    Policy,
     RandomPolicy,
     Record,
     RolloutScore,
@@ -25,8 +26,7 @@ from magical.evaluation import (
     read_entry,
 )
 from magical.evaluation.policy import Actions
-from magical.evaluation.rollouts import evaluate_round, roll_out
-from magical.evaluation.verification import Verification, is_elsewhere, verify
+from magical.evaluation.rollouts import Verification, is_elsewhere, roll_out, verify
 from magical.observe import Observation
 from magical.runs import machine, versions
 from tests.entries import entry_of
@@ -42,18 +42,18 @@ class BatchSizes(RandomPolicy):
         return (super().act(observations, env_ids, rng) + len(env_ids)) % 18
 
 
-def test_a_round_is_a_batch_of_the_evaluation() -> None:
-    evaluation = Evaluation.of(IDS, rollouts=23, horizon=12)
-    scores = roll_out(BatchSizes(), evaluation, workers=0)
-    for number, expected in ((0, range(12)), (11, range(12)), (22, range(12, 23))):
-        found = evaluate_round(BatchSizes(), evaluation, number, workers=0)
-        assert found == [row for row in scores if row.rollout in expected]
-
-
-def test_a_round_of_a_policy_that_runs_in_processes() -> None:
-    scores = evaluate(load_policy("expert"), IDS[:1], rollouts=12, workers=0)
-    found = evaluate_round(load_policy("expert"), Evaluation.of(IDS[:1], rollouts=12), 11)
-    assert found == [row for row in scores if row.rollout >= 10]
+@pytest.mark.parametrize(
+    ("policy", "ids", "rollouts", "rounds"),
+    [(BatchSizes(), IDS, 23, (12, 11)), (load_policy("expert"), IDS[:1], 12, (10, 2))],
+)
+def test_rounds_are_batches(policy: Policy, ids: Any, rollouts: int, rounds: Any) -> None:
+    evaluation = Evaluation.of(ids, rollouts=rollouts, horizon=12)
+    scores = roll_out(policy, evaluation, workers=0)
+    entry = Entry.of(policy, evaluation, method="m", scores=scores, record=Record())
+    rngs = map(np.random.default_rng, range(9))
+    found = [verify(entry, policy, rng=rng, workers=0) for rng in rngs]
+    assert all(each.again == each.recorded for each in found)
+    assert {len(each.again) for each in found} == {count * len(ids) for count in rounds}
 
 
 @pytest.fixture(scope="module")

@@ -149,7 +149,6 @@ def test_a_page_is_one_file_that_says_everything(
         "expected the header",
         "expected JSON",
         "Generalisation gaps",
-        'aria-label="interquartile mean"',
         'aria-label="Learning curves: loss on MoveToRegion"',
         "$b_1日本 on MoveToRegion",
         "&lt;a&gt; on MoveToRegion: ",  # its run folder has no checkpoint

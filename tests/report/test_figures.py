@@ -132,13 +132,14 @@ def test_a_reel_shows_the_median_run_and_says_what_differs_or_is_not_shown() -> 
             raise PolicyError("no such policy")
         return NoopPolicy()
 
-    (reel,), notes = record_reels(results, load, 2)
-    assert reel.title == "a on MoveToRegion"
-    ((uri, caption),) = reel.clips
+    reels, notes = record_reels(results, load, 2)
+    assert list(reels) == ["a on MoveToRegion"]
+    ((uri, caption),) = reels["a on MoveToRegion"]
     assert uri.startswith("data:image/webp")
     assert caption == "Demo, every rollout: 0.00 (recorded: 0.50)"
     assert notes[0] == "b on MoveToRegion: no such policy"
     assert notes[1].endswith(": c on MoveToRegion, m on MoveToRegion")
-    assert record_reels(results[2:3], load, 1)[0][0].clips[0][1] == "Demo, every rollout: 0.00"
+    (((_, caption),),) = record_reels(results[2:3], load, 1)[0].values()
+    assert caption == "Demo, every rollout: 0.00"
     record_reels(results[3:], load, 1)
     assert loaded == ["a0.5", "b0.0", "c0.0", "m0.5"]

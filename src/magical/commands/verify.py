@@ -17,7 +17,7 @@ import numpy as np
 from magical.commands import _common as common
 from magical.evaluation import load_policy, read_entry
 from magical.evaluation.entry import policy_of
-from magical.evaluation.verification import Verification, is_elsewhere, verify
+from magical.evaluation.rollouts import Verification, is_elsewhere, verify
 from magical.messages import decimals
 from magical.runs import machine, versions
 from magical.tasks.axes import short_variant

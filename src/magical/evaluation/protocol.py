@@ -1,6 +1,6 @@
 """How a policy is evaluated: one record, from which rollouts, entries, plans and clips are made."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from operator import attrgetter
@@ -67,7 +67,10 @@ class Evaluation:
         if self.seed < 0:  # below 0 are the seeds of demonstrations and of training
             raise ValueError(f"seed: expected at least 0, found {self.seed}")
         object.__setattr__(self, "horizon", parse_horizon(self.horizon))
-        checked_noise(self.nudge)
+        if not 0.0 <= self.nudge <= MAX_NOISE:
+            raise InvalidConfigError(
+                f"evaluation noise: expected a number from 0 to {MAX_NOISE}, found {self.nudge}"
+            )
 
     @classmethod
     def of(cls, env_ids: Iterable[str], **settings: Any) -> Self:
@@ -144,22 +147,11 @@ def environments(
     for task in importable_tasks() if tasks is None else map(get_task, dict.fromkeys(tasks)):
         found = [name for name in task.variants if wanted is None or name in wanted]
         if not found and tasks is not None:
-            asked, known = (
-                ", ".join(sorted(wanted or ())),
-                ", ".join(map(short_variant, task.variants)),
-            )
+            asked = ", ".join(sorted(wanted or ()))
+            known = ", ".join(map(short_variant, task.variants))
             raise UnknownNameError(f"{task.name} has none of the variants {asked}; it has: {known}")
         env_ids += [EnvId(task.name, variant) for variant in found]
     return env_ids
-
-
-def checked_noise(noise: float) -> float:
-    """The largest shift, in units and radians; raises `InvalidConfigError` if out of range."""
-    if not 0.0 <= noise <= MAX_NOISE:
-        raise InvalidConfigError(
-            f"evaluation noise: expected a number from 0 to {MAX_NOISE}, found {noise}"
-        )
-    return noise
 
 
 def noisy_start(env_id: EnvId, seed: int, noise: float) -> tuple[Scene, Dynamics]:
@@ -182,13 +174,3 @@ def noisy_start(env_id: EnvId, seed: int, noise: float) -> tuple[Scene, Dynamics
             task.validate(noisy)
             return noisy, dynamics
     raise PlacementError(f"{env_id}: none of {MAX_SCENES} scenes with noise {noise:g} fits")
-
-
-def reset_options(
-    env_ids: Sequence[EnvId], seeds: Sequence[int], noise: float
-) -> dict[str, Any] | None:
-    """The options to reset a vector environment with, so that each row starts with noise."""
-    if not noise:
-        return None
-    starts = [noisy_start(each, seed, noise) for each, seed in zip(env_ids, seeds, strict=True)]
-    return {"scene": [scene for scene, _ in starts], "dynamics": [forces for _, forces in starts]}

@@ -1,19 +1,26 @@
-"""Rollouts with fixed seeds: a policy, environments, scores."""
+"""Rollouts with fixed seeds: a policy, environments, scores; and a sample of them run again.
+
+Running an entry's rollouts again finds mistakes. A policy that was made to deceive, such as one
+that knows the public seeds' scenes, does again what it did before.
+"""
 
 import functools
 import inspect
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import closing
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import closing, nullcontext
+from dataclasses import dataclass, replace
+from itertools import repeat
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from magical.envs import EnvId
 from magical.envs.seeds import evaluation_seed
 from magical.envs.vector import MagicalVectorEnv
-from magical.errors import InvalidActionError, PolicyError
-from magical.evaluation.entry import RolloutScore
+from magical.errors import InvalidActionError, PolicyError, ScoresError
+from magical.evaluation.entry import Entry, Record, RolloutScore
 from magical.evaluation.policy import (
     NO_OBSERVATION,
     Mask,
@@ -22,8 +29,11 @@ from magical.evaluation.policy import (
     is_privileged,
     load_policy,
     observation_for,
+    observed,
 )
-from magical.evaluation.protocol import ROLLOUTS, SEED, Evaluation, environments, reset_options
+from magical.evaluation.protocol import ROLLOUTS, SEED, Evaluation, environments, noisy_start
+from magical.evaluation.statistics import CONFIDENCE, Interval, t_interval
+from magical.grouping import group_by
 from magical.observe import Observation
 from magical.processes import checked_workers, map_in_processes
 from magical.tasks import Horizon, get_task, with_tasks
@@ -31,6 +41,7 @@ from magical.tasks.registry import defining_modules
 
 NUM_ENVS = 64  # sub-environments stepped together: bounds the memory, hardly changes the speed
 SHARE = 10  # rollouts of one environment that a process computes at a time
+TOLERANCE = 1e-9  # the largest difference between equal scores
 
 Progress = Callable[[int], None]  # called with the number of rollouts that have just ended
 
@@ -109,21 +120,6 @@ def roll_out(
     return [score for rows in scores.values() for score in rows]
 
 
-def evaluate_round(
-    policy: Policy, evaluation: Evaluation, number: int, workers: int | None = None
-) -> list[RolloutScore]:
-    """Repeat one round of an evaluation: all rollouts that were run together with number `number`.
-
-    The last bit of a network's arithmetic may depend on the batch size, which can change a sampled
-    action. A round is batched as `evaluate` does it, so on the same machine its scores are the
-    same. `evaluation` is restricted to one task, with all of its environments in the original
-    order.
-    """
-    batches = [each for each in _batches(policy, evaluation) if number in each[1]]
-    rounds = (_rounds(policy, evaluation, each, workers, number) for each in batches)
-    return [row for parts in rounds for part in parts for row in part]
-
-
 def modules_for(policy: Policy | None, tasks: Sequence[str]) -> list[str]:
     """The modules that a new process must import to have the tasks, and those the policy needs."""
     needed = getattr(policy, "modules", None)
@@ -195,7 +191,10 @@ def play(
     Yields the observations and infos of the reset, then of every step.
     """
     rng = RolloutRng(envs.env_ids, seeds)
-    options = reset_options(envs.env_ids, seeds, nudge)
+    options = None
+    if nudge:
+        starts = zip(*map(noisy_start, envs.env_ids, seeds, repeat(nudge)), strict=True)
+        options = dict(zip(("scene", "dynamics"), map(list, starts), strict=True))
     observations, infos = envs.reset(seed=list(seeds), options=options)
     policy.reset(np.ones(len(seeds), np.bool_))
     yield observations, infos
@@ -254,3 +253,137 @@ ROW_METHODS = (
 )
 for _name in ROW_METHODS:
     setattr(RolloutRng, _name, _by_rows(_name))
+
+
+@dataclass(frozen=True, slots=True)
+class Verification:
+    """Scores of a sample of rollouts, as recorded and as obtained now.
+
+    They must be equal unless a network acts on another machine or with other versions than the
+    entry states: then the last bit of its arithmetic may change sampled actions, and contact
+    amplifies that.
+    """
+
+    recorded: Sequence[RolloutScore]
+    again: Sequence[RolloutScore]  # of the same rollouts, in the same order
+    exact: bool  # whether all must be equal
+    total: int  # rollouts in the entry
+
+    @property
+    def share(self) -> float:
+        """The share of rollouts run again: the probability of finding one altered score."""
+        return len(self.recorded) / self.total
+
+    @property
+    def changes(self) -> NDArray[np.float64]:
+        """The new scores minus the recorded ones, (rollouts, 2): by each scoring rule."""
+        now, then = (np.array([row[3:] for row in rows]) for rows in (self.again, self.recorded))
+        changes: NDArray[np.float64] = now - then
+        return changes
+
+    @property
+    def equal(self) -> int:
+        """How many rollouts have the recorded scores."""
+        return int((np.abs(self.changes) <= TOLERANCE).all(axis=1).sum())
+
+    def mean_changes(self, confidence: float = CONFIDENCE) -> Sequence[Interval]:
+        """The mean change by the appendix's rule, then by the published code's.
+
+        Each has a t interval over rollouts, whose bounds are NaN if there is only one.
+        """
+        return [
+            t_interval(float(changes.mean()), [changes / len(changes)], confidence, (-1.0, 1.0))
+            for changes in self.changes.T
+        ]
+
+    @property
+    def confirmed(self) -> bool:
+        """Whether the recorded scores are confirmed.
+
+        Unless all must be equal, the mean change over all rollouts, and over those of each
+        environment with a changed score, must be within chance by both rules. `CONFIDENCE` is that
+        of the two intervals over all rollouts together, and of all intervals of these environments
+        together.
+        """
+        if self.exact or self.equal == len(self.recorded):
+            return self.equal == len(self.recorded)
+        parts = [part for part in self.by_environment().values() if part.equal < len(part.recorded)]
+        changes = list(self.mean_changes(1.0 - (1.0 - CONFIDENCE) / 2))
+        for part in parts:
+            changes += part.mean_changes(1.0 - (1.0 - CONFIDENCE) / 2 / len(parts))
+        return all(change.low <= 0.0 <= change.high for change in changes)
+
+    def by_environment(self) -> dict[EnvId, "Verification"]:
+        """The part for each environment."""
+        pairs = group_by(zip(self.recorded, self.again, strict=True), lambda pair: pair[0].env_id)
+        return {
+            env_id: replace(self, recorded=[old for old, _ in part], again=[now for _, now in part])
+            for env_id, part in pairs.items()
+        }
+
+
+def verify(
+    entry: Entry,
+    policy: Policy,
+    *,
+    rounds: int = 1,
+    rng: np.random.Generator,
+    elsewhere: bool = False,
+    workers: int | None = None,
+) -> Verification:
+    """Run a sample of an entry's rollouts again, after checking both scores of all of them.
+
+    Of each task so many rounds (`_rounds`) are run again, chosen by `rng`; `elsewhere` says
+    whether the entry was made elsewhere (`is_elsewhere`). A network uses as many CPU threads as the
+    entry records, since another number may change the last bit of its arithmetic.
+
+    Raises:
+        PolicyError: the policy is not shown what the entry says.
+        ScoresError: the two scores of a rollout differ on a task whose rules are the same.
+    """
+    for env_id, rollout, _, *both in entry.scores:
+        if env_id.task_spec.published_score_fn is None and both[0] != both[1]:
+            raise ScoresError(
+                f"{env_id}, rollout {rollout}: expected equal scores by both rules, which are the "
+                f"same on this task, found {both}"
+            )
+    evaluation = entry.evaluation(policy)
+    now = observed(policy, evaluation.observation, evaluation.env_ids[0].task_spec)
+    stated = entry.observation or now[0], entry.evaluated.privileged
+    if now != stated and now[0] != NO_OBSERVATION:  # which needs no more than any other
+        shown = [f"{name}, {'' if state else 'not '}privileged" for name, state in (stated, now)]
+        raise PolicyError(
+            f"expected a policy that is shown {shown[0]}, as the entry says, found {shown[1]}"
+        )
+    again: list[RolloutScore] = []
+    threads, using = entry.record.threads, getattr(policy, "using_threads", None)
+    with using(threads) if using and threads else nullcontext():
+        for env_ids in evaluation.by_task.values():
+            # In batches as before: their size may change the last bit of a network's arithmetic.
+            batches = _batches(policy, replace(evaluation, env_ids=tuple(env_ids)))
+            left = set(range(evaluation.rollouts))
+            for _ in range(rounds):
+                if not left:
+                    break
+                number = int(rng.choice(sorted(left)))
+                for batch in batches:
+                    if number in batch[1]:
+                        for scores in _rounds(policy, evaluation, batch, workers, number):
+                            left -= {row.rollout for row in scores}
+                            again += scores
+    known = {(row.env_id, row.rollout): row for row in entry.scores}
+    recorded = [known[row.env_id, row.rollout] for row in again]
+    exact = not elsewhere or getattr(policy, "exact", False)
+    return Verification(recorded, again, exact, len(entry.scores))
+
+
+def is_elsewhere(record: Record, machine: Mapping[str, str], versions: Mapping[str, str]) -> bool:
+    """Whether an entry states another machine or other versions than the given ones.
+
+    False if it does not state both. The machine's name may differ, and there may be additional
+    libraries now.
+    """
+    if not (record.machine.keys() >= machine.keys() and record.versions):
+        return False
+    same_machine = {**record.machine, "name": ""} == {**machine, "name": ""}
+    return not (same_machine and record.versions.items() <= versions.items())

@@ -289,14 +289,16 @@ def _weighted_means(parts: Sequence[tuple[Floats, Floats]], confidence: float) -
 
     Of each table (runs, environments), weights (environments,).
     """
-    value, strata = 0.0, list[Floats]()
+    strata: list[Floats] = []
     for table, weights in parts:
         runs = (~np.isnan(table)).sum(axis=0)  # (environments,)
         contributions = np.nansum(table * (weights / runs), axis=1)  # (runs,)
-        value += float(contributions.sum())
         strata += _by_stratum(table, contributions)
     factors = np.concatenate([weights for _, weights in parts])
     bounds = float(factors[factors < 0].sum()), float(factors[factors > 0].sum())
+    # The order of summation decides the last bit, which rounds ties in the studies' stored tables.
+    summed = strata if len(parts) > 1 else [contributions]
+    value = float(sum(part.sum() for part in summed))
     return _with_width(t_interval(value, strata, confidence, bounds))
 
 

@@ -12,7 +12,7 @@ from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from operator import attrgetter
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,7 @@ from magical.errors import MagicalError, RunFolderError
 from magical.evaluation import Evaluation, Policy, RolloutScore, by_variant
 from magical.evaluation.policy import action_spec_of, observation_for
 from magical.evaluation.rollouts import play
-from magical.evaluation.statistics import Floats, Interval
+from magical.evaluation.statistics import Floats
 from magical.files import write_atomically
 from magical.render import render_frame
 from magical.report.found import Result, by_row
@@ -103,23 +103,6 @@ def tidy(axes: Any) -> None:
     """Add a light grid, and remove the frame at the top and on the right."""
     axes.grid(alpha=0.3)
     axes.spines[["top", "right"]].set_visible(False)
-
-
-def interval_plot(intervals: Mapping[str, Interval], label: str, name: str) -> str:
-    """Estimates with their intervals, one below another, in the methods' colours."""
-    with plotting():
-        figure = new_figure(0.9 + 0.36 * len(intervals))
-        axes = figure.subplots()
-        for index, (value, low, high) in enumerate(intervals.values()):
-            colour = line_style(index)["color"]
-            if not np.isnan(low):
-                axes.plot([low, high], [index, index], color=colour, linewidth=3, alpha=0.5)
-            axes.plot([value], [index], "o", color=colour, markersize=6)
-        axes.set_yticks(range(len(intervals)), list(intervals))
-        axes.set_ylim(len(intervals) - 0.5, -0.5)
-        axes.set_xlabel(label)
-        tidy(axes)
-        return svg(figure, name, label)
 
 
 def curves_by_task(results: Sequence[Result]) -> tuple[dict[str, list[str]], dict[Path, str]]:
@@ -278,19 +261,13 @@ def record_rollouts(
     return [Clip(score, own, every) for score, own in parts]
 
 
-class Reel(NamedTuple):
-    """Clips of one run's rollouts on a task, by variant, from best to worst."""
-
-    title: str  # the row and the task
-    clips: Sequence[tuple[str, str]]  # data URIs and captions
-
-
 def record_reels(
     results: Sequence[Result], load_policy: LoadPolicy, limit: int
-) -> tuple[list[Reel], list[str]]:
-    """Reels of at most `limit` runs, and notes on what is not shown and why.
+) -> tuple[dict[str, list[tuple[str, str]]], list[str]]:
+    """Clips of at most `limit` runs, and notes on what is not shown and why.
 
-    For each row and task the run with the median mean score is chosen.
+    For each row and task the run with the median mean score is chosen. Clips are data URIs with
+    captions, by the row and the task in words.
     """
     chosen: dict[str, tuple[Result, str]] = {}  # by title: the run and the task
     for row, runs in by_row(results, attrgetter("entry")).items():
@@ -302,10 +279,10 @@ def record_reels(
         for task, of_task in means.items():
             _, median = sorted(of_task)[(len(of_task) - 1) // 2]
             chosen[f"{row} on {task}"] = runs[median], task
-    reels, notes = list[Reel](), list[str]()
+    reels, notes = dict[str, list[tuple[str, str]]](), list[str]()
     for title, (result, task) in list(chosen.items())[:limit]:
         try:
-            reels.append(Reel(title, list(_clips(result, load_policy(result), task))))
+            reels[title] = list(_clips(result, load_policy(result), task))
         except (MagicalError, OSError) as error:
             notes.append(f"{title}: {error}")
     if left := list(chosen)[limit:]:

@@ -3,6 +3,7 @@
 import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from operator import attrgetter
@@ -78,7 +79,7 @@ def search_results(folders: Iterable[Path | str]) -> Found:
     results: list[Result] = []
     skipped: list[Skipped] = []
     known: set[Path] = set()
-    listed = cache(_listing)  # every plan is read only once
+    listed = cache(read_listing)  # every plan is read only once
     for root in map(Path, folders):
         found: list[tuple[Path, Entry | Exception]] = []
         for path, names, _ in os.walk(root):
@@ -128,18 +129,12 @@ def _is_planned(place: Path, root: Path, listed: Callable[[Path], Listing]) -> b
         if folder == root:
             break
         if kind in (RUNS, REFERENCES) and (results / PLAN).is_file():
-            runs = {run.folder for run in listed(results).runs} or None
-            names = runs if kind == RUNS else listed(results).references
-            return names is None or folder.name in names
+            with suppress(MagicalError):  # a damaged plan lists nothing
+                runs = {run.folder for run in listed(results).runs} or None
+                names = runs if kind == RUNS else listed(results).references
+                return names is None or folder.name in names
+            return True
     return True
-
-
-def _listing(results: Path) -> Listing:
-    """What a results folder lists; nothing if the file is damaged."""
-    try:
-        return read_listing(results)
-    except MagicalError:
-        return Listing()
 
 
 def find_results(folders: Iterable[Path | str]) -> Found:

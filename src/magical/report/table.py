@@ -1,8 +1,7 @@
 """The table behind all reports, and the formats made from it: HTML, Markdown, CSV, plain data.
 
-`Rows.scores` is the table: a record (method, task, variant, rule, run, score) of each run's mean
-score in an environment. The score tables of a page, the rows of a CSV file and the leaderboard are
-made of it.
+`Rows.scores` is the table: each run's scores by method, task, variant and rule. The score tables of
+a page and the rows of a CSV file are made of it.
 """
 
 import csv
@@ -12,6 +11,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -26,7 +26,7 @@ from magical.evaluation.statistics import FEWEST_RUNS, Floats, Interval, OverRol
 from magical.files import write_atomically
 from magical.grouping import group_by
 from magical.messages import decimals
-from magical.report.figures import LoadPolicy, curves_by_task, interval_plot, record_reels
+from magical.report.figures import LoadPolicy, curves_by_task, record_reels
 from magical.report.found import Found, by_row
 from magical.runs import track_of
 from magical.tasks import Task, get_task
@@ -63,34 +63,19 @@ DIGITS = 6  # significant, in CSV
 SUFFIXES = {".html": "html", ".csv": "csv", ".md": "markdown"}
 
 
-class Score(NamedTuple):
-    """A run's mean score in an environment by a rule."""
-
-    method: str  # the label of the row
-    task: str
-    variant: str  # short
-    rule: str
-    run: int  # number of the run in its row
-    score: float
-    rollouts: Sequence[float]
-
-
 class Rows(dict[str, list[Entry]]):
     """The runs of each row of tables, by its label, and the table of their scores."""
 
     @cached_property
-    def scores(self) -> Mapping[tuple[str, ...], list[Score]]:
-        """The scores of each method, task, variant and rule, in the order of the runs."""
-        table = (
-            Score(label, task, variant, rule, run, float(np.mean(values)), values)
-            for label, entries in self.items()
-            for run, entry in enumerate(entries)
-            for task, cells in by_variant(entry.scores).items()
-            for variant, cell in cells.items()
-            for rule in (RULE, PUBLISHED_RULE)
-            for values in [[getattr(row, rule) for row in cell]]
-        )
-        return group_by(table, lambda score: score[:4])
+    def scores(self) -> Mapping[tuple[str, str, str, str], list[list[float]]]:
+        """The rollouts of each run by the row's label, the task, the short variant and the rule."""
+        table: dict[tuple[str, str, str, str], list[list[float]]] = {}
+        for label, entries in self.items():
+            for task, cells in (cell for run in entries for cell in by_variant(run.scores).items()):
+                for variant, rule in product(cells, statistics.RULES):
+                    rollouts = [getattr(row, rule) for row in cells[variant]]
+                    table.setdefault((label, task, variant, rule), []).append(rollouts)
+        return table
 
     @property
     def tasks(self) -> tuple[str, ...]:
@@ -265,15 +250,14 @@ def _score_table(
     return Table(title, [task.name, *variants], lines, note, row_notes, bool(published))
 
 
-def _cell(runs: Sequence[Score], expected: int, difference: Interval | None) -> Cell:
-    """A cell from each run's score; says if fewer runs than expected have any."""
+def _cell(runs: Sequence[list[float]], expected: int, difference: Interval | None) -> Cell:
+    """A cell from each run's rollouts; says if fewer runs than expected have any."""
     few = "" if len(runs) == expected else f" ({len(runs)} of {expected} runs)"
     if len(runs) == 1:
-        value, low, high = statistics.rollout_mean(runs[0].rollouts)
+        value, low, high = statistics.rollout_mean(runs[0])
         return Cell(value, f"[{low:.2f}, {high:.2f}]{few}", difference)
-    scores = [run.score for run in runs]
-    value, std = statistics.over_runs([[score] for score in scores])
-    listed = means_apart(scores)
+    value, std = statistics.over_runs(runs)
+    listed = means_apart(np.mean(runs, axis=1).tolist())
     return Cell(value, f"± {std:.2f}{listed}{few}", difference, are_apart=bool(listed))
 
 
@@ -607,17 +591,19 @@ def _plain_rows(name: str, rows: Rows, published: Sequence[str]) -> Iterator[dic
         how = runs[0].evaluated  # the same for all runs of a row, but for environments
         horizon = get_task(name).resolve_horizon(how.horizon)
         for variant in dict.fromkeys(key[2] for key in rows.scores if key[:2] == (label, name)):
-            scores = [score.score for score in rows.scores[label, name, variant, RULE]]
-            rule = [score.score for score in rows.scores[label, name, variant, PUBLISHED_RULE]]
+            scores, published_code_scores = (
+                np.mean(rows.scores[label, name, variant, rule], axis=1)  # (runs,)
+                for rule in statistics.RULES
+            )
             interval = Method("", runs, ()).on([EnvId(name, full_variant(variant))]).mean()
             change = changes.get(variant)
             spread = paper.published_score(name, theirs, variant) if theirs and change else None
             numbers = {
                 "score": interval.value,
-                "score_std": float(np.std(scores)) if scores[1:] else None,
+                "score_std": float(np.std(scores)) if len(scores) > 1 else None,
                 "score_low": interval.low,
                 "score_high": interval.high,
-                PUBLISHED_RULE: float(np.mean(rule)),
+                PUBLISHED_RULE: float(np.mean(published_code_scores)),
                 "published_method": theirs,
                 "published": spread and spread.mean,
                 "published_std": spread and spread.std,
@@ -656,13 +642,12 @@ def write_page(
     there are no rollouts, if some were requested and none could be recorded.
     """
     reels, notes = (
-        record_reels(found.results, load_policy, clips) if load_policy and clips else ([], [])
+        record_reels(found.results, load_policy, clips) if load_policy and clips else ({}, [])
     )
     rows = rows_of(found.entries)
     curves, damaged = curves_by_task(found.results)
     skipped = [(str(item.folder), item.reason) for item in found.skipped]
     skipped += [(str(folder), reason) for folder, reason in damaged.items()]
-    means = {method.name: method.interquartile_mean() for method in compared_methods(rows)}
     evaluated = {env_id.variant for run in found.entries for env_id in run.evaluated.env_ids}
     counts = {entry.evaluated.rollouts for entry in found.entries}
     html = render_template(
@@ -675,7 +660,6 @@ def write_page(
         tables=score_tables(rows, published),
         rollouts=" to ".join(map(str, sorted({min(counts), max(counts)}))),
         summaries=summary_tables(rows),
-        means=interval_plot(means, "interquartile mean", "iqm") if means else "",
         curves=curves,
         reels=reels,
         clip_notes=notes,
