@@ -275,9 +275,8 @@ def finger_position(body: Part, root: tuple[float, float], pose: Pose) -> tuple[
     finger is used, because the effect of the pin's length, which the published one lacks, grows
     with it. A pin joint made afterwards takes the displacement as its length and is at rest.
     """
-    anchor = lib.cpBodyLocalToWorld(
-        body, root
-    )  # as Chipmunk computes it, which is what the pin subtracts
+    # As Chipmunk computes it, which is what the pin subtracts.
+    anchor = lib.cpBodyLocalToWorld(body, root)
     root_x, root_y = rotate(root, pose.angle)
     error_x = ((pose.x + root_x) - pose.x) - root_x
     error_y = ((pose.y + root_y) - pose.y) - root_y
