@@ -38,7 +38,7 @@ from magical.messages import printable, quoted
 from magical.observe import STATE, Observation, parse_spec
 from magical.runs import SOURCES, is_run, provenance
 from magical.tasks.axes import short_variant
-from magical.tasks.horizons import APPENDIX
+from magical.tasks.task import APPENDIX
 
 SCORES_FILE, ENTRY_FILE = "scores.csv", "entry.json"
 ROWS_FILE, ENTRIES_FILE = "scores.csv.gz", "entries.json"

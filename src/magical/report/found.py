@@ -19,7 +19,7 @@ from magical.evaluation.protocol import ROLLOUTS, SEED
 from magical.grouping import group_by
 from magical.runs import CONFIG, PLAN, REFERENCES, RUNS, Listing, is_run, read_json, read_listing
 from magical.tasks import get_task
-from magical.tasks.horizons import APPENDIX, PUBLISHED
+from magical.tasks.task import APPENDIX, PUBLISHED
 
 TELLING = 20  # rollouts whose score is not the most frequent one: enough to identify a run
 

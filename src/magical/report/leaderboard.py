@@ -20,7 +20,7 @@ from magical.report.found import Found, Result, same_run, search_results
 from magical.runs import BENCHMARK_PRIOR, EXTRA_DATA, SOURCES, TRACKS, file_name, track_of
 from magical.tasks import TASKS, get_task, suites
 from magical.tasks.axes import DEMO, TEST_ALL, short_variant
-from magical.tasks.horizons import APPENDIX
+from magical.tasks.task import APPENDIX
 
 ALL_TASKS, HELD_OUT_TASKS = "All tasks", "Held-out tasks"
 WITH_PRIOR = ", with a benchmark prior"  # suffix of a board's name

@@ -206,3 +206,19 @@ def _load(name: str) -> Task:
     if not isinstance(task, Task):
         raise PluginError(f"{GROUP}: {name!r}: expected a Task, found {type(task).__name__}")
     return task
+
+
+def have_two_horizons(tasks: Iterable[str]) -> bool:
+    """Whether the published code's horizon differs from the appendix's for any of the tasks."""
+    return any(get_task(name).has_two_horizons for name in tasks)
+
+
+def require_two_horizons(tasks: Iterable[str]) -> None:
+    """Raise `UnknownNameError` unless `have_two_horizons`."""
+    names = list(dict.fromkeys(tasks))
+    if not have_two_horizons(names):
+        found = ", ".join(f"{name} ({get_task(name).horizon} steps)" for name in names)
+        raise UnknownNameError(
+            "horizon 'published': expected a task that the published code runs for another number "
+            f"of steps, found tasks with one horizon only: {found}; leave it out"
+        )

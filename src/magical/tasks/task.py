@@ -1,13 +1,22 @@
 """A task: its Demo scene, how variants change it, and how final states are scored."""
 
+import operator
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from difflib import get_close_matches
-from typing import Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 
-from magical.errors import InvalidSceneError, InvalidTaskError, PlacementError, UnknownNameError
+from magical.errors import (
+    InvalidConfigError,
+    InvalidSceneError,
+    InvalidTaskError,
+    PlacementError,
+    UnknownNameError,
+)
+from magical.messages import quoted
 from magical.scene import Dynamics, Poses, Scene
 from magical.tasks.axes import TEST_ALL, VARIANTS, Axis
 from magical.tasks.placement import Placement, sample_placement, validate_scene
@@ -15,6 +24,9 @@ from magical.tasks.placement import Placement, sample_placement, validate_scene
 MAX_SCENES = 1000  # sampled at most for one episode; the paper's tasks need only one
 
 Horizon = int | Literal["published"] | None  # steps, the published code's, the appendix's
+APPENDIX: Final = "appendix"  # names of horizons
+PUBLISHED: Final = "published"
+MAX_HORIZON = int(np.iinfo(np.int64).max)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,3 +142,22 @@ class Task:
         if problem := self.problem(scene):
             raise InvalidSceneError(f"{self.name}: {problem}")
         validate_scene(scene)
+
+
+def parse_horizon(value: Any) -> Horizon:
+    """From "appendix", "published" or a number of steps; `InvalidConfigError` for anything else."""
+    if value is None or (isinstance(value, str) and value in (APPENDIX, PUBLISHED)):
+        return PUBLISHED if value == PUBLISHED else None
+    with suppress(TypeError, ValueError):
+        steps = int(value) if isinstance(value, str) else operator.index(value)
+        if 1 <= steps <= MAX_HORIZON and not isinstance(value, bool):
+            return steps
+    raise InvalidConfigError(
+        f"horizon: expected {APPENDIX}, {PUBLISHED} or a number of control steps from 1 to "
+        f"{MAX_HORIZON}, found {quoted(value)}"
+    )
+
+
+def format_horizon(horizon: Horizon) -> str:
+    """The inverse of `parse_horizon`, for records and messages."""
+    return APPENDIX if horizon is None else str(horizon)
