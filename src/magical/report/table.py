@@ -42,7 +42,7 @@ ONE_RUN = (
     " In brackets: 95% intervals over the rollouts of one run, which do not include the spread "
     "between training runs."
 )
-BESIDE = " In parentheses: the difference from the published mean."
+BESIDE = " With a sign: the difference from the published mean."
 RUNS_APART = (
     " Where some runs succeed and others fail, their means are listed in brackets. Where a few "
     "runs all succeed, failures may be missing by chance: if one run in five fails, a 95% interval "
