@@ -37,7 +37,7 @@ OUTSIDE = (2.0, 2.0)  # of the workspace: no place fits
 AXES = Axis.JITTER | Axis.LAYOUT | Axis.COLOUR | Axis.DYNAMICS
 SQUARE, CIRCLE = 0, 1  # rows of blocks
 
-Places = Mapping[int | None, Point]  # where blocks, or the robot (None), should go
+Places = Mapping[int, Point]  # where blocks should go
 Check = Callable[[Scene, list[Point], Point], bool]  # of the scene, blocks' and robot's positions
 
 
@@ -51,6 +51,7 @@ class Rule:
     is_reached: Check
     fits: Callable[[Scene], bool] = lambda scene: True
     horizon: int = 80  # control steps
+    then: int | None = None  # the block that the robot drives to at the end
 
 
 def at(place: Point, point: Point) -> bool:
@@ -207,6 +208,7 @@ DEVELOPMENT = {
             and math.dist(points[CIRCLE], start(s, CIRCLE)) < NEAR
         ),
         horizon=140,
+        then=CIRCLE,
     ),
 }
 HELD_BACK = {
@@ -328,8 +330,8 @@ def make_planner(rule: Rule) -> Planner:
             for i, goal in rule.places(view.scene).items()
             if math.dist(blocks[i], goal) > 2 * TOLERANCE
         ]
-        if not moves and rule is DEVELOPMENT["ThenCircle"]:
-            return MovePlan((Move(short_of(blocks[CIRCLE], view.position), 0.05),))
+        if not moves and rule.then is not None:
+            return MovePlan((Move(short_of(blocks[rule.then], view.position), 0.05),))
         return MovePlan(tuple(moves))
 
     return Planner(plan)

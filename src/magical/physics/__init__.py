@@ -1,8 +1,8 @@
 """The physics of one episode, with pymunk (docs/specification.md, sections 2 to 5).
 
-This is the only room that imports pymunk. Worlds are made by Chipmunk's C functions: an episode has
-some sixty bodies, shapes and joints, and pymunk's object for each, with references to others and a
-function that frees it, took most of the time of a reset.
+This is the only room that imports pymunk. An episode's bodies, shapes and joints, some sixty, are
+made by Chipmunk's C functions: pymunk's object for each, with references to others and a function
+that frees it, took most of the time of a reset.
 """
 
 import math
@@ -29,7 +29,7 @@ from magical.scene import (
 )
 from magical.scene import constants as c
 
-Part = Any  # of a world: a pointer to Chipmunk's struct
+Part = Any  # a pointer to Chipmunk's struct of a body, a shape or a joint
 Polygon = Sequence[tuple[float, float]]
 Outline = tuple[Polygon, float]  # with its rounding radius; without points a circle
 

@@ -34,7 +34,7 @@ POSITION, VELOCITY, ANGLE, SPIN = (POINTERS + LAYOUT.index(n) for n in (5.0, 7.0
 
 
 def address(part: Any) -> int:
-    """The address of a space, a body or a joint of a `World`."""
+    """The address of Chipmunk's struct of a space, a body or a joint."""
     return int(ffi.cast("intptr_t", part))
 
 
