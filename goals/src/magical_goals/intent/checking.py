@@ -19,7 +19,7 @@ from magical_goals.objects.data import ParsedDemonstration
 
 MOST_MOVES = 12  # in thought
 MOST_ENDS = 200  # to keep
-# Chosen on training tasks of the generated suite, of which 3 of 64 are contradicted, the human
+# Chosen on training tasks of the generated suite, of which 4 of 64 are contradicted, the human
 # demonstrations of the paper's tasks, of which none is, and the development tasks of
 # studies/outside_tasks.
 ELSEWHERE = 0.5  # units between a block's end and its nearest demonstrated one: more is elsewhere
