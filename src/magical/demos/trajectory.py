@@ -177,12 +177,10 @@ class Trajectory:
         columns = {each: getattr(self, each) for each in ACTION_COLUMNS}
         convert = action_spec(name).convert
         try:
-            found: dict[str, Any] = {
-                each: convert(c) for each, c in columns.items() if c is not None
-            }
+            found = {each: convert(c) for each, c in columns.items() if c is not None}
         except InvalidActionError as error:
             raise TrajectoryError(f"{self.env_id}: {error}") from error
-        return replace(self, **found)
+        return replace(self, **found)  # type: ignore[arg-type]
 
     @property
     def task(self) -> Task:
