@@ -17,6 +17,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from operator import attrgetter
 from pathlib import Path
+from threading import Lock
 from typing import Annotated, Any, overload
 from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipFile
 
@@ -40,6 +41,7 @@ SUFFIX = ".npz"
 MAX_FILE = 64 << 20  # bytes on disk; the largest human recording has 0.6 MB
 MAX_UNPACKED = 512 << 20  # bytes of all arrays together
 MAX_MEMBERS = 16
+_HEADERS = Lock()  # they are read by CPython's `ast`, which in 3.11 may fail in several threads
 MAX_ACTIONS = 1 << 21  # bytes; a discrete action has one
 FORMATS = ("magical-trajectory", 1), ("magical-trajectory", 2)
 _FIELDS = ("seed", "score", "published_code_score", "demonstrator", "metadata")  # of the header
@@ -298,20 +300,18 @@ def _opened(path: Path, folder: Path) -> Iterator[tuple[ZipFile, Entry, NDArray[
 def _load(archive: ZipFile, name: str, most: int = MAX_UNPACKED) -> NDArray[Any]:
     """An array of at most `most` bytes, whatever its header declares: NumPy would believe it."""
     with archive.open(f"{name}.npy") as file:
-        npy.read_magic(file)
-        shape, by_columns, dtype = npy.read_array_header_1_0(file)
+        with _HEADERS:
+            npy.read_magic(file)
+            shape, by_columns, dtype = npy.read_array_header_1_0(file)
         data = file.read(most)  # of objects, NumPy makes no array
     return np.frombuffer(data, dtype).reshape(shape, order="F" if by_columns else "C")
 
 
 def _to_arrays(trajectory: Trajectory) -> dict[str, NDArray[Any]]:
-    header = {
-        **dict(zip(("format", "version"), FORMATS[-1], strict=True)),
-        **{name: getattr(trajectory, name) for name in _FIELDS},
-        "env_id": str(trajectory.env_id),
-        "scene": trajectory.scene.to_dict(),
-        "dynamics": trajectory.dynamics.to_dict(),
-    }
+    scene, dynamics = trajectory.scene.to_dict(), trajectory.dynamics.to_dict()
+    header = {"format": FORMATS[-1][0], "version": FORMATS[-1][1], "env_id": trajectory.env_id}
+    header |= {name: getattr(trajectory, name) for name in _FIELDS}
+    header |= {"scene": scene, "dynamics": dynamics}
     text = json.dumps(header).encode()
     if len(text) > MAX_BYTES:
         raise TrajectoryError(f"metadata: expected at most {MAX_BYTES} bytes, found {len(text)}")
